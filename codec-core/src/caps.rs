@@ -53,7 +53,9 @@ pub struct Caps {
 }
 
 impl Caps {
-    /// For computers and telephones: under 1 GiB of receiver memory, all fields together.
+    /// For computers and telephones: under 1 GiB of receiver memory ([`Caps::memory_bytes`]), all fields
+    /// together. An arena of [`Caps::arena_words`] also has a place for the decoder and for the frame shown:
+    /// under 3 GiB.
     pub const HOST: Self = Self {
         gaussians_per_epoch: 4 << 20,
         frames: limits::MAX_FRAMES,
@@ -69,7 +71,9 @@ impl Caps {
         blocks_per_packet: limits::MAX_PACKET_BLOCKS,
     };
 
-    /// For microcontrollers: under 1 MiB of receiver memory, all fields together.
+    /// For microcontrollers: under 1 MiB of receiver memory ([`Caps::memory_bytes`]), all fields together. An
+    /// arena of [`Caps::arena_words`] also has a place for the decoder and for the frame shown: under 2.25
+    /// MiB.
     pub const SMALL: Self = Self {
         gaussians_per_epoch: 4096,
         frames: 16_384,
@@ -85,7 +89,8 @@ impl Caps {
         blocks_per_packet: limits::MAX_PACKET_BLOCKS,
     };
 
-    /// Bytes of receiver memory that no stream within these caps exceeds.
+    /// Bytes of receiver memory that no stream within these caps exceeds; without the decoder's and that of
+    /// the frame shown, which [`Caps::arena_words`] adds.
     pub const fn memory_bytes(&self) -> u64 {
         // Symbols are counted per level of canonical cells, and marked one by one, by `paper` only.
         let counted = if self.cells < limits::MAX_CLUSTERS { self.cells } else { limits::MAX_CLUSTERS };
@@ -124,6 +129,10 @@ mod tests {
     fn a_host_stays_under_a_gibibyte_and_a_microcontroller_under_a_mebibyte() {
         assert!(Caps::HOST.memory_bytes() < 1 << 30, "{}", Caps::HOST.memory_bytes());
         assert!(Caps::SMALL.memory_bytes() < 1 << 20, "{}", Caps::SMALL.memory_bytes());
+        let arena = |caps: Caps| 8 * caps.arena_words() as u64;
+        assert!(arena(Caps::SMALL) < 9 << 18, "{}", arena(Caps::SMALL));
+        // On targets of 32 bits the number of words saturates.
+        assert!(usize::BITS < 64 || arena(Caps::HOST) < 3 << 30, "{}", arena(Caps::HOST));
         let most = Caps { symbols: u32::MAX, cells: u32::MAX, ..Caps::HOST };
         assert!(most.memory_bytes() > 1 << 32, "the sum is taken in 64 bits");
     }

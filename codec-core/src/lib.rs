@@ -31,6 +31,11 @@ pub mod file {
     pub use crate::internals::wire::file::parts;
 }
 
+/// Compiles the examples of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
+
 // So that paths inside the crate stay short.
 use internals::{
     arena, closure, cursor, decode, error, footprint, gaussian, ids, layout, limits, math, pack, quant, rans,

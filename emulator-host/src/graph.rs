@@ -131,6 +131,18 @@ pub enum GraphError {
         /// Interval found.
         interval_ns: u64,
     },
+    /// A parameter of a synthetic graph that describes none.
+    #[error("{field} is {found}, allowed {low} to {high}")]
+    Parameter {
+        /// Which, as [`Synthetic`] names it.
+        field: &'static str,
+        /// What it is.
+        found: u64,
+        /// Least allowed.
+        low: u64,
+        /// Most allowed.
+        high: u64,
+    },
     /// An index points outside its table.
     #[error("{what} {index} of {owner} {at} is out of range: {allowed} exist")]
     OutOfRange {

@@ -100,9 +100,9 @@ impl SenderView<'_> {
         self.is_past(self.graph.useful_until(packet), now)
     }
 
-    /// Whether `packet` may be sent for the first time: never sent, near enough, not expired.
+    /// Whether `packet` may be sent for the first time: of this graph, never sent, near enough, not expired.
     pub fn is_sendable(&self, packet: PacketIndex, now: Nanos) -> bool {
-        self.status[packet.at()] == PacketStatus::Waiting
+        self.status.get(packet.at()) == Some(&PacketStatus::Waiting)
             && self.graph.needed_from(packet) < self.horizon_frame
             && !self.is_expired(packet, now)
     }
@@ -122,7 +122,8 @@ pub trait Scheduler {
     fn name(&self) -> &'static str;
 
     /// The packet to send at `now`, or `None` if nothing is worth sending until the view changes. It must be
-    /// [`SenderView::is_sendable`] and no parity packet. The sender sends what is returned.
+    /// [`SenderView::is_sendable`] and no parity packet. The sender sends what is returned; another choice is
+    /// counted as refused.
     fn next(&mut self, view: &SenderView<'_>, now: Nanos) -> Option<PacketIndex>;
 
     /// How the sender is to serve this scheduler.

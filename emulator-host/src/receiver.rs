@@ -22,7 +22,8 @@ pub enum Arrival {
     Refused,
 }
 
-/// What can be shown at one moment. Bit `i % 64` of word `i / 64` is index `i`.
+/// What can be shown at one moment. Bit `i % 64` of word `i / 64` is index `i`; what lies past the last word
+/// is not there.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Snapshot {
     /// Groups whose closure is complete.
@@ -42,23 +43,34 @@ impl Snapshot {
 
     /// Whether a group's closure is complete.
     pub fn has_group(&self, group: GroupIndex) -> bool {
-        self.groups[group.at() / 64] >> (group.0 % 64) & 1 == 1
+        has(&self.groups, group.at())
     }
 
     /// Whether a packet is part of what can be shown.
     pub fn has_packet(&self, packet: PacketIndex) -> bool {
-        self.packets[packet.at() / 64] >> (packet.0 % 64) & 1 == 1
+        has(&self.packets, packet.at())
     }
 
     /// Marks a group.
     pub fn insert_group(&mut self, group: GroupIndex) {
-        self.groups[group.at() / 64] |= 1 << (group.0 % 64);
+        insert(&mut self.groups, group.at());
     }
 
     /// Marks a packet.
     pub fn insert_packet(&mut self, packet: PacketIndex) {
-        self.packets[packet.at() / 64] |= 1 << (packet.0 % 64);
+        insert(&mut self.packets, packet.at());
     }
+}
+
+fn has(words: &[u64], index: usize) -> bool {
+    words.get(index / 64).is_some_and(|word| word >> (index % 64) & 1 == 1)
+}
+
+fn insert(words: &mut Vec<u64>, index: usize) {
+    if words.len() <= index / 64 {
+        words.resize(index / 64 + 1, 0);
+    }
+    words[index / 64] |= 1 << (index % 64);
 }
 
 /// Enters the bits of `now` into `before`, and calls `on_fresh` with the index of each new one, ascending.
@@ -320,6 +332,16 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_snapshot_without_words_has_nothing_and_takes_anything() {
+        let mut snapshot = Snapshot::default();
+        assert!(!snapshot.has_group(GroupIndex(0)) && !snapshot.has_packet(PacketIndex(700)));
+        snapshot.insert_group(GroupIndex(70));
+        snapshot.insert_packet(PacketIndex(3));
+        assert!(snapshot.has_group(GroupIndex(70)) && !snapshot.has_group(GroupIndex(6)));
+        assert!(snapshot.has_packet(PacketIndex(3)) && !snapshot.has_packet(PacketIndex(67)));
     }
 
     #[test]

@@ -89,8 +89,8 @@ pub struct SessionConfig {
     pub reverse: PathConfig,
     /// Rate of the sender's own serialiser; loss timers start when it is through. `None`: instantly.
     pub access_rate: Option<Rate>,
-    /// Round trip that the handshake has measured, before the session's time begins; `None` if there was no
-    /// handshake.
+    /// Round trip that the handshake has measured, before the session's time begins, at most an hour; `None`
+    /// if there was no handshake.
     pub handshake_rtt: Option<Nanos>,
     /// How far ahead of playout media may be sent.
     pub lookahead: Nanos,
@@ -110,7 +110,7 @@ pub struct SessionConfig {
     pub viewer: Option<ViewerPath>,
     /// Media packets that the receiver of [`simulate`] keeps before the manifest is complete.
     pub buffer_limit: usize,
-    /// Time between [`crate::report::SenderRow`]s; zero for none.
+    /// Time between [`crate::report::SenderRow`]s, at least 1 ms; zero for none.
     pub sample_interval: Nanos,
     /// The run ends here if playout has not ended before; `None`: after an hour, or a minute after the latest
     /// end of playout if that is later.
@@ -147,6 +147,9 @@ impl Default for SessionConfig {
     }
 }
 
+/// Longest round trip that a handshake may have measured.
+const LONGEST_HANDSHAKE: Nanos = Nanos::from_s(3600);
+
 impl SessionConfig {
     /// Refuses numbers that no run can use.
     ///
@@ -158,6 +161,15 @@ impl SessionConfig {
         }
         if self.ack_every == 0 {
             return Err(SessionError::Config { field: "ack_every", found: 0.0, allowed: "at least 1" });
+        }
+        let (shortest, found) = (Nanos::from_ms(1), self.sample_interval.0 as f64 / 1e6);
+        if self.sample_interval > Nanos::ZERO && self.sample_interval < shortest {
+            let allowed = "0 or at least 1 ms";
+            return Err(SessionError::Config { field: "sample_interval, ms,", found, allowed });
+        }
+        if let Some(found) = self.handshake_rtt.filter(|&round_trip| round_trip > LONGEST_HANDSHAKE) {
+            let (found, allowed) = (found.0 as f64 / 1e9, "at most 3600 s");
+            return Err(SessionError::Config { field: "handshake_rtt, s,", found, allowed });
         }
         Ok(())
     }

@@ -292,7 +292,7 @@ impl Trace {
         Rate(u64::try_from(scaled / u128::from(self.period.0)).unwrap_or(u64::MAX))
     }
 
-    /// Bytes that may move from the start until `time`, the trace repeating.
+    /// Bytes that may move from the start until `time`, the trace repeating. Saturates.
     pub fn bytes_until(&self, time: Nanos) -> Bytes {
         let (rounds, rest) = (time.0 / self.period.0, Nanos(time.0 % self.period.0));
         let within = |end: Nanos| match &self.shape {
@@ -302,10 +302,12 @@ impl Trace {
             Shape::Steps(steps) => {
                 let ends = steps.iter().skip(1).map(|step| step.at).chain([self.period]);
                 let used = steps.iter().zip(ends).take_while(|(step, _)| step.at < end);
-                used.map(|(step, until)| step.rate.bytes_in(until.min(end) - step.at).0).sum()
+                let bytes = used.map(|(step, until)| step.rate.bytes_in(until.min(end) - step.at).0);
+                bytes.fold(0, u64::saturating_add)
             }
         };
-        Bytes((within(Nanos(self.period.0 + 1)) * rounds).saturating_add(within(rest)))
+        let whole = within(self.period + Nanos(1)).saturating_mul(rounds);
+        Bytes(whole.saturating_add(within(rest)))
     }
 
     /// The same trace with `numerator ÷ denominator` times the capacity: rates are multiplied, opportunities
@@ -418,6 +420,14 @@ mod tests {
         let trace = Trace::opportunities("o", at, Nanos::from_ms(20)).unwrap();
         let window = trace.window(Nanos::from_ms(10), Nanos::from_ms(20)).unwrap();
         assert_eq!(window.shape(), &Shape::Opportunities([0, 10, 10].map(Nanos::from_ms).to_vec().into()));
+    }
+
+    #[test]
+    fn bytes_until_the_end_of_time_saturate() {
+        let fast = vec![Step { at: Nanos::ZERO, rate: Rate::from_mbps(1_000_000) }];
+        let fast = Trace::steps("t", fast, Nanos::from_s(1)).unwrap();
+        assert_eq!(fast.bytes_until(Nanos::MAX), Bytes(u64::MAX));
+        assert_eq!(fast.bytes_until(Nanos::from_s(3)), Bytes(375_000_000_000));
     }
 
     #[test]

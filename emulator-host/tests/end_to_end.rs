@@ -3,11 +3,13 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail like tests")]
 
 use emulator_host::{
-    ControllerKind, GraphReceiver, PacketGraph, PacketIndex, PolicyKind, Report, SessionConfig, Trace,
+    ControllerKind, Endpoint, GraphReceiver, PacketGraph, PacketIndex, PolicyKind, Report, SessionConfig,
+    Snapshot, Trace,
     clock::{Nanos, Rate},
     graph::{Profile, Synthetic, Utilities},
     link::{Capacity, LossModel, PathConfig, QueueLimit, Reordering},
     policy::{Dependency, Scheduler, SenderView},
+    receiver::Arrival,
     run, simulate,
 };
 
@@ -249,6 +251,60 @@ fn nothing_is_sent_after_its_deadline() {
     let report = run(&graph, &down(bursty(2)), &mut scheduler, &mut endpoint).unwrap();
     assert_eq!(report.policy, "watched");
     check_sane(&report, &graph);
+}
+
+/// Chooses a packet that no graph has.
+struct Stray;
+
+impl Scheduler for Stray {
+    fn name(&self) -> &'static str {
+        "stray"
+    }
+
+    fn next(&mut self, _: &SenderView<'_>, _: Nanos) -> Option<PacketIndex> {
+        Some(PacketIndex(u32::MAX))
+    }
+}
+
+/// Takes everything and shows nothing, without a word of its own.
+struct Blind(Snapshot);
+
+impl Endpoint for Blind {
+    fn control(&mut self, _: usize, _: bool, _: &mut Vec<PacketIndex>) {}
+
+    fn media(&mut self, _: PacketIndex, _: Nanos, _: &mut Vec<PacketIndex>) -> Arrival {
+        Arrival::Fresh
+    }
+
+    fn snapshot(&mut self, _: u32) -> &Snapshot {
+        &self.0
+    }
+}
+
+#[test]
+fn schedulers_and_endpoints_of_others_cannot_bring_a_run_down() {
+    let graph = graph(Synthetic { frames: 30, ..Synthetic::default() }, 1);
+    let config = SessionConfig { cap: Nanos::from_s(20), ..SessionConfig::default() };
+    let mut endpoint = GraphReceiver::new(&graph, 4096);
+    let report = run(&graph, &config, &mut Stray, &mut endpoint).unwrap();
+    assert!(report.sender.refused_choices > 0 && report.sender.media == 0);
+    let mut endpoint = Blind(Snapshot::default());
+    let report = run(&graph, &config, &mut Dependency::new(&graph), &mut endpoint).unwrap();
+    assert_eq!((report.miss_rate, report.utility), (1.0, 0.0));
+}
+
+#[test]
+fn numbers_that_no_run_can_use_are_named() {
+    let graph = graph(Synthetic { frames: 30, ..Synthetic::default() }, 1);
+    let good = SessionConfig::default();
+    for (config, words) in [
+        (SessionConfig { handshake_rtt: Some(Nanos::MAX), ..good.clone() }, "handshake_rtt, s, is 1844674"),
+        (SessionConfig { sample_interval: Nanos(1), ..good.clone() }, "sample_interval, ms, is 0.000001"),
+        (SessionConfig { ack_every: 0, ..good.clone() }, "ack_every is 0, allowed at least 1"),
+    ] {
+        let error = simulate(&graph, &config).unwrap_err().to_string();
+        assert!(error.starts_with(words), "{error}");
+    }
 }
 
 #[test]

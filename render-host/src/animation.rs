@@ -2,7 +2,7 @@
 //!
 //! Both play for ever. Pictures are of one size, 8 bits per channel as in [`Image`]'s own files.
 
-use std::io::Write;
+use std::{fmt, io::Write};
 
 use crate::image::{Image, ImageError};
 
@@ -53,6 +53,18 @@ impl HundredthClock {
         let length = at(self.pictures + 1) - at(self.pictures);
         self.pictures += 1;
         length.clamp(0.0, 65_535.0) as u16
+    }
+}
+
+impl<W: Write> fmt::Debug for Animation<W> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let format = match &self.encoder {
+            Encoder::Apng(_) => "APNG",
+            Encoder::Gif { .. } => "GIF",
+        };
+        let mut shown = f.debug_struct("Animation");
+        shown.field("format", &format).field("size", &self.size).field("left", &self.left);
+        shown.finish_non_exhaustive()
     }
 }
 

@@ -28,6 +28,8 @@ const FOCAL: (f64, f64) = (1e-7, 1e11);
 const PRINCIPAL: (f64, f64) = (-1e9, 1e9);
 const TRANSLATION: (f64, f64) = (-1e15, 1e15);
 const NEAR: (f64, f64) = (1e-9, 1e9);
+/// How far an entry of a matrix's last row may be from 0 0 0 1.
+const LAST_ROW_OFF: f64 = 1e-6;
 /// Radians.
 const FIELD_OF_VIEW: (f64, f64) = (1e-6, std::f64::consts::PI - 1e-6);
 
@@ -150,7 +152,8 @@ impl Camera {
     /// From OpenCV's 3×3 `k` and 4×4 world-to-camera matrix, both row-major.
     ///
     /// # Errors
-    /// As [`Camera::new`]; or `k` has skew, or a last row other than 0 0 1.
+    /// As [`Camera::new`]; or `k` has skew, or a last row other than 0 0 1; or the last row of
+    /// `world_to_camera` differs from 0 0 0 1 by more than 1e-6, as that of a transposed matrix does.
     pub fn from_opencv(
         k: [[f64; 3]; 3],
         world_to_camera: [[f64; 4]; 4],
@@ -165,7 +168,7 @@ impl Camera {
             }
         }
         let intrinsics = Intrinsics { width, height, fx: k[0][0], fy: k[1][1], cx: k[0][2], cy: k[1][2] };
-        let (rotation, translation) = split(&world_to_camera);
+        let (rotation, translation) = split("world_to_camera", &world_to_camera)?;
         Self::new(intrinsics, rotation, translation)
     }
 
@@ -173,7 +176,7 @@ impl Camera {
     /// OpenGL axes (x right, y up, z backward) and the horizontal field of view in radians.
     ///
     /// # Errors
-    /// As [`Camera::new`]; or a field of view outside 1e-6..=π − 1e-6.
+    /// As [`Camera::from_opengl`]; or a field of view outside 1e-6..=π − 1e-6.
     pub fn from_blender(
         camera_to_world: [[f64; 4]; 4],
         camera_angle_x: f64,
@@ -187,9 +190,10 @@ impl Camera {
     /// From a 4×4 row-major camera-to-world matrix with OpenGL axes (x right, y up, z backward).
     ///
     /// # Errors
-    /// As [`Camera::new`].
+    /// As [`Camera::new`]; or the last row differs from 0 0 0 1 by more than 1e-6, as that of a transposed
+    /// matrix does.
     pub fn from_opengl(camera_to_world: [[f64; 4]; 4], intrinsics: Intrinsics) -> Result<Self, CameraError> {
-        let (c2w, eye) = split(&camera_to_world);
+        let (c2w, eye) = split("camera_to_world", &camera_to_world)?;
         // Rows of world-to-camera are columns of camera-to-world; y and z change sign.
         let sign = [1.0, -1.0, -1.0];
         let rotation = std::array::from_fn(|i| std::array::from_fn(|j| sign[i] * c2w[j][i]));
@@ -388,8 +392,15 @@ fn in_range(field: &'static str, found: f64, (low, high): (f64, f64)) -> Result<
     if found >= low && found <= high { Ok(()) } else { Err(CameraError::Range { field, found, low, high }) }
 }
 
-fn split(m: &[[f64; 4]; 4]) -> ([[f64; 3]; 3], [f64; 3]) {
-    (std::array::from_fn(|i| std::array::from_fn(|j| m[i][j])), std::array::from_fn(|i| m[i][3]))
+/// The rotation and translation of the matrix called `matrix`, whose last row must be 0 0 0 1.
+fn split(matrix: &'static str, m: &[[f64; 4]; 4]) -> Result<([[f64; 3]; 3], [f64; 3]), CameraError> {
+    for (column, (&found, allowed)) in m[3].iter().zip([0.0, 0.0, 0.0, 1.0]).enumerate() {
+        let difference = (found - allowed).abs();
+        if difference > LAST_ROW_OFF || difference.is_nan() {
+            return Err(CameraError::LastRow { matrix, column, found, allowed });
+        }
+    }
+    Ok((std::array::from_fn(|i| std::array::from_fn(|j| m[i][j])), std::array::from_fn(|i| m[i][3])))
 }
 
 /// `r` itself when it is orthonormal to 1e-9, made so when it is to 1e-3, else an error.

@@ -140,7 +140,8 @@ impl<'a> Splats<'a> {
     /// Harmonic coefficients above band 0 of Gaussian `index`; empty past the end and at degree 0.
     pub fn rest(&self, index: usize) -> &'a [f32] {
         let each = self.sh_degree.rest_len();
-        self.sh_rest.get(index * each..(index + 1) * each).unwrap_or(&[])
+        let start = index.saturating_mul(each);
+        self.sh_rest.get(start..start.saturating_add(each)).unwrap_or(&[])
     }
 }
 
@@ -183,6 +184,7 @@ mod tests {
         let rest: Vec<f32> = (0..18).map(|i| i as f32).collect();
         let splats = Splats::new(&gaussians, &rest, degree).unwrap();
         assert_eq!(splats.rest(1)[0], 9.0);
+        assert!(splats.rest(usize::MAX).is_empty());
         assert!(splats.rest(2).is_empty() && Splats::plain(&gaussians).rest(1).is_empty());
     }
 }

@@ -233,6 +233,7 @@ fn more_groups_than_a_word_and_nobody_home() {
 fn the_tuner_finds_a_batch_for_the_engine() {
     let case = Case::new(300, 0, 20, (64, 48), 21);
     let engine = case.engine(&Settings::default());
+    assert!(engine.predict_bytes(usize::MAX) >= usize::MAX as u64, "it saturates");
     let budget = engine.predict_bytes(40);
     // Each world takes a quarter more than predicted, so the first probe runs out.
     let tuned = tuner::largest(

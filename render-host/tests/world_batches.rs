@@ -102,6 +102,7 @@ fn the_tuner_finds_a_batch_that_fits_and_recovers_from_running_out() {
     let used = tuned.probes[0].used.unwrap();
     assert!(used <= tuned.probes[0].predicted && 2 * used > tuned.probes[0].predicted, "{tuned:?}");
     // A budget is kept, by what was used and not by what was predicted.
+    assert!(batch.predict_bytes(usize::MAX) >= usize::MAX as u64, "it saturates");
     let budget = batch.predict_bytes(40);
     let tuned = batch.largest(&states, budget);
     assert!(tuned.worlds >= 40 && tuned.worlds < 128, "{tuned:?}");

@@ -31,3 +31,8 @@ pub mod utility;
 pub use encode::{cluster, evaluator, factorise, sensitivity};
 pub use scene::{Attributes, Epoch, Instant, Scene, SceneError, Track, edit, export, import, viewpoint};
 pub use stream::Stream;
+
+/// Compiles the examples of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -233,8 +233,9 @@ impl Epoch {
         &self.attributes
     }
 
-    /// The splats of frame `t` (counted in this epoch), ready to render.
+    /// The splats of frame `t` (counted in this epoch), ready to render; past the end, of the last one.
     pub fn instant(&self, t: usize) -> Instant {
+        let t = t.min(self.frames - 1);
         let (n, a) = (self.count, &self.attributes);
         let (p, q) = (a.positions.frame(t, n), a.rotations.frame(t, n));
         let (s, o, c) = (a.log_scales.frame(t, n), a.opacity_logits.frame(t, n), a.sh0.frame(t, n));
@@ -419,6 +420,7 @@ mod tests {
         assert!(epoch.attributes().log_scales.is_constant());
         assert!(!epoch.attributes().positions.is_constant());
         let instant = epoch.instant(1);
+        assert_eq!(epoch.instant(usize::MAX), instant, "past the end the last frame stays");
         assert_eq!(instant.gaussians[0].rotation, [1.0, 0.0, 0.0, 0.0]);
         assert!(instant.gaussians[0].opacity > 0.9999 && instant.gaussians[0].opacity <= 1.0);
     }

@@ -3,7 +3,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-static uint64_t block[1 << 20]; /* 8 MiB of static memory */
+static _Alignas(DGS_ALIGN) uint8_t block[8 << 20]; /* 8 MiB of static memory; C11 */
 static uint8_t file[1 << 20];
 
 int main(int argc, char **argv)

@@ -7,6 +7,8 @@
  *          which stays where it is, touched by nobody else, until dgs_close. Nothing is allocated.
  * Pointers are used during the call only, the block excepted. dgs_error.field is a constant; what
  *          dgs_frame points to lies in the block and is good until the next call with the player.
+ * Streams  Those of the profile paper-context are played by libraries with the feature of that name, which
+ *          is on by default; others refuse them with DGS_UNKNOWN.
  * Threads  A player may move between threads; no two calls with one player at once.
  * Errors   Calls return DGS_OK or another status and fill *error, which may be NULL. Pointers that are
  *          null or misaligned, buffers that are short or overlap the block are refused (DGS_MISUSE, and
@@ -209,10 +211,12 @@ typedef struct dgs_player dgs_player;
 /* The version of DGSM that this library reads. */
 uint32_t dgs_version(void);
 
-/* Fills caps with bounds for computers and telephones; a null pointer is left alone. */
+/* Fills caps with bounds for computers and telephones; a null pointer is left alone. A block that holds
+ * every stream within them is under 3 GiB. */
 void dgs_caps_host(dgs_caps *caps);
 
-/* Fills caps with bounds for microcontrollers; a null pointer is left alone. */
+/* Fills caps with bounds for microcontrollers; a null pointer is left alone. A block that holds every
+ * stream within them is under 2.25 MiB. */
 void dgs_caps_small(dgs_caps *caps);
 
 /* Bytes of a block that holds every stream within caps; 0 if there is no such block or caps is

@@ -179,7 +179,8 @@ pub extern "C" fn dgs_version() -> u32 {
     manifest::VERSION.into()
 }
 
-/// Fills `caps` with bounds for computers and telephones; a null pointer is left alone.
+/// Fills `caps` with bounds for computers and telephones; a null pointer is left alone. A block that holds
+/// every stream within them is under 3 GiB.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_caps_host(caps: *mut DgsCaps) {
     if usable(caps, "caps").is_ok() {
@@ -188,7 +189,8 @@ pub unsafe extern "C" fn dgs_caps_host(caps: *mut DgsCaps) {
     }
 }
 
-/// Fills `caps` with bounds for microcontrollers; a null pointer is left alone.
+/// Fills `caps` with bounds for microcontrollers; a null pointer is left alone. A block that holds every
+/// stream within them is under 2.25 MiB.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_caps_small(caps: *mut DgsCaps) {
     if usable(caps, "caps").is_ok() {
@@ -447,19 +449,20 @@ pub unsafe extern "C" fn dgs_receipt(
     written: *mut usize,
     error: *mut DgsError,
 ) -> i32 {
-    // SAFETY: promises 1 to 3. `out` need not be initialised: it is zeroed before a slice is made.
+    // SAFETY: promises 1 to 3. No more of `out` is written than the receipt, which fits.
     unsafe {
         call(player, error, |player| {
             player.place(written, "written")?;
             let pose = player.list(pose, usize::from(!pose.is_null()), "pose")?.first().copied();
             usable(out, "out")?;
             apart(player.block(), out, out_len, "out")?;
-            // A receipt is no longer: no more is touched.
-            let out_len = out_len.min(DGS_RECEIPT_BYTES);
-            ptr::write_bytes(out, 0, out_len);
-            let out = slice::from_raw_parts_mut(out, out_len);
             let pose = pose.map(|p| ViewerPose { position: p.position, rotation: p.rotation });
-            let len = player.playing()?.receipt(sequence, playout_us, pose, out)?;
+            let mut receipt = [0; DGS_RECEIPT_BYTES];
+            let len = player.playing()?.receipt(sequence, playout_us, pose, &mut receipt)?;
+            if out_len < len {
+                return Err(Error::short("receipt", 0, out_len, len).kind(ErrorKind::Capacity).into());
+            }
+            ptr::copy_nonoverlapping(receipt.as_ptr(), out, len);
             player.put(written, len, "written")
         })
     }

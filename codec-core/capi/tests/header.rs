@@ -17,6 +17,8 @@ const TOP: &str = "\
  *          which stays where it is, touched by nobody else, until dgs_close. Nothing is allocated.
  * Pointers are used during the call only, the block excepted. dgs_error.field is a constant; what
  *          dgs_frame points to lies in the block and is good until the next call with the player.
+ * Streams  Those of the profile paper-context are played by libraries with the feature of that name, which
+ *          is on by default; others refuse them with DGS_UNKNOWN.
  * Threads  A player may move between threads; no two calls with one player at once.
  * Errors   Calls return DGS_OK or another status and fill *error, which may be NULL. Pointers that are
  *          null or misaligned, buffers that are short or overlap the block are refused (DGS_MISUSE, and

@@ -21,10 +21,15 @@ mod player;
 mod stream;
 
 pub use codec_core::{
-    Caps, Error, ErrorKind, Gaussian, Result,
-    internals::gaussian::ShDegree,
+    Caps, Error, ErrorKind, Footprint, Gaussian, PacketId, Result,
+    internals::{gaussian::ShDegree, wire::receipt::ViewerPose},
     player::{Accepted, Counters, Frame, StreamInfo, Usable},
 };
 pub use frames::FrameDecoder;
 pub use player::{OpenError, Player, Waiting, arena};
 pub use stream::{Damage, Stream, sealed};
+
+/// Compiles the examples of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

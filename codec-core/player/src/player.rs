@@ -177,8 +177,26 @@ impl Player {
     /// # Errors
     /// If the manifest is unreadable or exceeds [`Caps::HOST`]; refused packets are counted.
     pub fn open(file: &[u8]) -> Result<(Self, Damage)> {
-        let (stream, damage) = Stream::from_bytes(file)?;
-        Ok((stream.receive()?, damage))
+        Self::open_within(file, &Caps::HOST)
+    }
+
+    /// As [`Player::open`], of files within `caps`.
+    ///
+    /// ```
+    /// use dgs_player::{Caps, ErrorKind, Player};
+    ///
+    /// # let file = include_bytes!("../../tests/conformance/one.dgs");
+    /// let caps = Caps { gaussians_per_epoch: 1000, ..Caps::HOST };
+    /// assert!(Player::open_within(file, &caps).is_ok());
+    /// let error = Player::open_within(file, &Caps { frames: 0, ..caps }).unwrap_err();
+    /// assert_eq!(error.kind, ErrorKind::Capacity);
+    /// ```
+    ///
+    /// # Errors
+    /// If the manifest is unreadable or exceeds `caps`; refused packets are counted.
+    pub fn open_within(file: &[u8], caps: &Caps) -> Result<(Self, Damage)> {
+        let (stream, damage) = Stream::from_bytes_within(file, caps)?;
+        Ok((stream.receive_within(caps)?, damage))
     }
 
     /// As [`Player::open`], of the file at `path`.
@@ -186,7 +204,18 @@ impl Player {
     /// # Errors
     /// If the file cannot be read, and as [`Player::open`].
     pub fn open_file(path: impl AsRef<Path>) -> std::result::Result<(Self, Damage), OpenError> {
-        Ok(Self::open(&std::fs::read(path)?)?)
+        Self::open_file_within(path, &Caps::HOST)
+    }
+
+    /// As [`Player::open_within`], of the file at `path`, which is read as a whole.
+    ///
+    /// # Errors
+    /// If the file cannot be read, and as [`Player::open_within`].
+    pub fn open_file_within(
+        path: impl AsRef<Path>,
+        caps: &Caps,
+    ) -> std::result::Result<(Self, Damage), OpenError> {
+        Ok(Self::open_within(&std::fs::read(path)?, caps)?)
     }
 
     /// Takes one packet, media or parity, in any order.
@@ -259,7 +288,15 @@ impl Stream {
     /// # Errors
     /// If the manifest is refused, by [`Caps::HOST`] perhaps; refused packets are counted, not errors.
     pub fn receive(&self) -> Result<Player> {
-        let mut player = Player::of(&self.manifest()?, &Caps::HOST)?;
+        self.receive_within(&Caps::HOST)
+    }
+
+    /// As [`Stream::receive`], of streams within `caps`.
+    ///
+    /// # Errors
+    /// If the manifest is refused, by `caps` perhaps; refused packets are counted, not errors.
+    pub fn receive_within(&self, caps: &Caps) -> Result<Player> {
+        let mut player = Player::of(&self.manifest()?, caps)?;
         player.push_all(self.packets().iter().filter(|p| !p.is_empty()).map(Vec::as_slice));
         Ok(player)
     }

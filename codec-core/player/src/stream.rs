@@ -190,15 +190,24 @@ impl Stream {
     /// Reads a `.dgs` file and keeps what is readable.
     ///
     /// # Errors
-    /// If the manifest itself is unreadable: without it nothing else means anything.
+    /// If the manifest itself is unreadable, without which nothing else means anything, or exceeds
+    /// [`Caps::HOST`].
     pub fn from_bytes(bytes: &[u8]) -> Result<(Self, Damage)> {
+        Self::from_bytes_within(bytes, &Caps::HOST)
+    }
+
+    /// As [`Stream::from_bytes`], of streams within `caps`.
+    ///
+    /// # Errors
+    /// If the manifest itself is unreadable or exceeds `caps`.
+    pub fn from_bytes_within(bytes: &[u8], caps: &Caps) -> Result<(Self, Damage)> {
         let (message, start) = file::manifest(bytes)?;
-        let sealed = Sealed::parse(message)?.within(&Caps::HOST)?;
+        let sealed = Sealed::parse(message)?.within(caps)?;
         let mut raw = vec![0u8; sealed.raw_len];
         sealed.open(message, crc32, &mut raw)?;
         let parsed = Manifest::parse(&raw)?;
         // What no player here takes on is refused before memory is set aside for it.
-        Requirements::of(&parsed, &Caps::HOST)?;
+        Requirements::of(&parsed, caps)?;
         let mut packets = vec![Vec::new(); parsed.head().packets as usize];
         let mut damage = Damage { truncated: true, ..Damage::default() };
         for record in file::packets(bytes, start, crc32) {

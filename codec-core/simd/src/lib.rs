@@ -26,3 +26,8 @@ pub use job::{Job, Tables};
 pub use kernel::Kernel;
 pub use many::{decode_many, decode_many_with};
 pub use repair::{combine, combines};
+
+/// Compiles the examples of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

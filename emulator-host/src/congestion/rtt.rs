@@ -51,8 +51,8 @@ impl Rtt {
         let adjusted = if latest >= self.minimum + ack_delay { latest - ack_delay } else { latest };
         self.without_ack_delay = adjusted;
         let deviation = self.smoothed.abs_diff(adjusted);
-        self.variation = Nanos((3 * self.variation.0 + deviation.0) / 4);
-        self.smoothed = Nanos((7 * self.smoothed.0 + adjusted.0) / 8);
+        self.variation = weighted(self.variation, deviation, 4);
+        self.smoothed = weighted(self.smoothed, adjusted, 8);
     }
 
     /// After persistent congestion the minimum starts again from the newest sample (RFC 9002, 5.2).
@@ -100,6 +100,27 @@ impl Rtt {
     /// 9/8 max(smoothed, latest), at least 1 ms (RFC 9002, 6.1.2).
     pub fn loss_delay(&self) -> Nanos {
         let longest = self.smoothed.max(self.latest);
-        Nanos(longest.0 + longest.0 / 8).max(GRANULARITY)
+        (longest + Nanos(longest.0 / 8)).max(GRANULARITY)
+    }
+}
+
+/// The mean of `before`, which counts `parts` less one times, and `sample`; of any values without overflow.
+fn weighted(before: Nanos, sample: Nanos, parts: u64) -> Nanos {
+    let sum = u128::from(before.0) * u128::from(parts - 1) + u128::from(sample.0);
+    Nanos((sum / u128::from(parts)) as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_of_any_length_are_taken() {
+        let mut rtt = Rtt::new(Nanos::from_ms(25));
+        for _ in 0..3 {
+            rtt.update(Nanos::MAX, Nanos::ZERO, Nanos::ZERO);
+        }
+        assert_eq!((rtt.smoothed(), rtt.minimum()), (Nanos::MAX, Nanos::MAX));
+        assert_eq!((rtt.probe_timeout(), rtt.loss_delay()), (Nanos::MAX, Nanos::MAX));
     }
 }

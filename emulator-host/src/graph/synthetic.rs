@@ -40,9 +40,9 @@ pub struct Synthetic {
     pub frames: u32,
     /// Time between frames.
     pub frame_interval: Nanos,
-    /// Frames per motion window, at least 1.
+    /// Frames per motion window, at least 1; of windows there may be 65,536.
     pub window_frames: u32,
-    /// Clusters, at least 1.
+    /// Clusters, 1 to 65,536.
     pub clusters: u32,
     /// Levels, 1 to 4.
     pub levels: u8,
@@ -50,7 +50,7 @@ pub struct Synthetic {
     pub rate: Rate,
     /// Part of the bytes that is canonical, in percent, 0 to 100.
     pub canonical_percent: u8,
-    /// Largest packet.
+    /// Largest packet, at least 1 byte.
     pub packet_bytes: u16,
     /// Bytes of the manifest.
     pub manifest_bytes: u32,
@@ -58,7 +58,7 @@ pub struct Synthetic {
     pub utilities: Utilities,
     /// Parity for every so many base packets, interleaved over clusters; `None` for no repair.
     pub repair: Option<u32>,
-    /// Parity packets of each repair set.
+    /// Parity packets of each repair set, at most 255.
     pub parity: u32,
     /// Closure rule.
     pub profile: Profile,
@@ -92,13 +92,15 @@ impl Synthetic {
     /// The graph of these parameters and `seed`.
     ///
     /// # Errors
-    /// [`GraphError`] if the parameters describe none, such as zero frames or an oversized packet.
+    /// [`GraphError`] if the parameters describe none, such as zero frames or an oversized packet, or one of
+    /// more than 16,777,216 packets.
     pub fn build(&self, seed: u64) -> Result<PacketGraph, GraphError> {
+        self.check()?;
         let clip = self.frame_interval.times(u64::from(self.frames));
         let media = self.rate.bytes_in(clip).0;
-        let canonical = media * u64::from(self.canonical_percent.min(100)) / 100;
-        let windows = u64::from(self.frames.div_ceil(self.window_frames.max(1))).max(1);
-        let stack = u64::from(self.clusters.max(1)) * ((1 << self.levels.min(4)) - 1).max(1);
+        let canonical = media * u64::from(self.canonical_percent) / 100;
+        let windows = self.windows();
+        let stack = u64::from(self.clusters) * ((1 << self.levels) - 1);
         let mut draft = Draft {
             spec: self,
             sizes: stream(seed, "synthetic sizes"),
@@ -112,8 +114,8 @@ impl Synthetic {
             draft.stack(Span::Canonical(EpochId(0)), cluster, *weight, (0, last), canonical / stack);
         }
         for window in 0..windows as u32 {
-            let first = window * self.window_frames.max(1);
-            let last = (first + self.window_frames.max(1) - 1).min(self.frames.saturating_sub(1));
+            let first = window * self.window_frames;
+            let last = first.saturating_add(self.window_frames - 1).min(self.frames.saturating_sub(1));
             for (cluster, weight) in weights.iter().enumerate() {
                 let span = Span::Motion(WindowId(window as u16));
                 let base_bytes = (media - canonical) / stack / windows;
@@ -131,6 +133,34 @@ impl Synthetic {
             manifest_bytes: self.manifest_bytes,
             profile: self.profile,
         })
+    }
+
+    /// Motion windows of the clip.
+    fn windows(&self) -> u64 {
+        u64::from(self.frames.div_ceil(self.window_frames)).max(1)
+    }
+
+    /// Refuses what is no graph, or one that is larger than packets have ids, before anything is made of it.
+    fn check(&self) -> Result<(), GraphError> {
+        let within = |field, found: u64, low: u64, high: u64| {
+            if (low..=high).contains(&found) {
+                return Ok(());
+            }
+            Err(GraphError::Parameter { field, found, low, high })
+        };
+        const IDS: u64 = PacketId::MAX as u64 + 1;
+        within("window_frames", self.window_frames.into(), 1, u32::MAX.into())?;
+        within("clusters", self.clusters.into(), 1, 1 << 16)?;
+        within("levels", self.levels.into(), 1, Level::COUNT as u64)?;
+        within("canonical_percent", self.canonical_percent.into(), 0, 100)?;
+        within("packet_bytes", self.packet_bytes.into(), 1, u16::MAX.into())?;
+        within("windows (frames / window_frames)", self.windows(), 1, 1 << 16)?;
+        let groups = (self.windows() + 1) * u64::from(self.clusters) * u64::from(self.levels);
+        within("groups (clusters x levels x windows)", groups, 1, IDS)?;
+        let media = self.rate.bytes_in(self.frame_interval.times(self.frames.into())).0;
+        let packets = media / u64::from(self.packet_bytes);
+        within("packets (rate x frames x frame_interval / packet_bytes)", packets, 0, IDS)?;
+        within("parity", self.parity.into(), 0, 255)
     }
 }
 
@@ -157,8 +187,8 @@ impl Draft<'_> {
     /// All levels of one cluster in one span. `frames`: the first and last it shows in.
     fn stack(&mut self, span: Span, cluster: usize, weight: f64, frames: (u32, u32), base_bytes: u64) {
         let clusters = self.spec.clusters as usize;
-        let levels = usize::from(self.spec.levels).min(Level::COUNT);
-        for level in 0..self.spec.levels.min(Level::COUNT as u8) {
+        let levels = usize::from(self.spec.levels);
+        for level in 0..self.spec.levels {
             let at = self.groups.len();
             let mut needs = Vec::new();
             let layered = self.spec.dependencies == Dependencies::Layered;
@@ -194,7 +224,7 @@ impl Draft<'_> {
     /// Packets of one group; slice `i` needs the slice at the same relative place in every group that this
     /// one needs.
     fn split(&mut self, bytes: u64, group: GroupIndex, needs: &[GroupIndex]) -> Vec<PacketIndex> {
-        let count = bytes.div_ceil(u64::from(self.spec.packet_bytes.max(1)));
+        let count = bytes.div_ceil(u64::from(self.spec.packet_bytes));
         let mut indices = Vec::with_capacity(count as usize);
         for slice in 0..count {
             let wire_bytes = (bytes / count + u64::from(slice < bytes % count)) as u16;
@@ -272,5 +302,25 @@ mod tests {
             assert!(graph.packets().iter().all(|packet| packet.needs_packets.is_empty()));
         }
         assert!(Synthetic { frames: 0, ..Synthetic::default() }.build(1).is_err());
+    }
+
+    #[test]
+    fn parameters_that_describe_no_graph_are_named() {
+        let good = Synthetic::default();
+        for (spec, words) in [
+            (Synthetic { clusters: 0, ..good }, "clusters is 0, allowed 1 to 65536"),
+            (Synthetic { clusters: u32::MAX, ..good }, "clusters is 4294967295, "),
+            (Synthetic { levels: 0, ..good }, "levels is 0, allowed 1 to 4"),
+            (Synthetic { levels: 255, ..good }, "levels is 255, "),
+            (Synthetic { window_frames: 0, ..good }, "window_frames is 0, "),
+            (Synthetic { packet_bytes: 0, ..good }, "packet_bytes is 0, "),
+            (Synthetic { canonical_percent: 101, ..good }, "canonical_percent is 101, "),
+            (Synthetic { frames: u32::MAX, window_frames: 1, ..good }, "windows "),
+            (Synthetic { clusters: 1 << 16, frames: 60_000, window_frames: 1, ..good }, "groups "),
+            (Synthetic { frame_interval: Nanos::MAX, ..good }, "packets "),
+        ] {
+            let error = spec.build(1).unwrap_err().to_string();
+            assert!(error.starts_with(words), "{error}");
+        }
     }
 }

@@ -18,6 +18,13 @@ pub struct Chain {
     wake: Nanos,
 }
 
+impl std::fmt::Debug for Chain {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mut shown = f.debug_struct("Chain");
+        shown.field("label", &self.label).field("boxes", &self.boxes.len()).finish_non_exhaustive()
+    }
+}
+
 struct Slot {
     inner: Box<dyn LinkBox>,
     wake: Nanos,

@@ -5,7 +5,7 @@
 //! horizon, when playout is expected, and the queue that it causes itself. It never asks a clock and moves no
 //! bytes.
 
-use std::{collections::VecDeque, ops::Deref};
+use std::{collections::VecDeque, fmt, ops::Deref};
 
 use codec_core::internals::wire::receipt::ViewerPose;
 
@@ -102,6 +102,12 @@ pub struct MediaSender<G, S> {
     forecasts: Forecasts,
     /// What the last receipt said; kept, so that reading one costs no allocation.
     feedback: Feedback,
+}
+
+impl<G, S> fmt::Debug for MediaSender<G, S> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("MediaSender").field("counts", &self.counts).finish_non_exhaustive()
+    }
 }
 
 impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {

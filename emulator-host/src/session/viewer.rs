@@ -32,6 +32,12 @@ pub struct Viewer<'a> {
     path: Option<ViewerPath>,
 }
 
+impl std::fmt::Debug for Viewer<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Viewer").field("manifest", &self.manifest).finish_non_exhaustive()
+    }
+}
+
 impl<'a> Viewer<'a> {
     /// Nothing has arrived; a clip without a manifest has it already.
     pub fn new(graph: &'a PacketGraph, config: &SessionConfig, endpoint: &'a mut dyn Endpoint) -> Self {

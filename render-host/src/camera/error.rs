@@ -34,6 +34,18 @@ pub enum CameraError {
         /// The value it must have.
         allowed: f64,
     },
+    /// The last row of a 4×4 matrix is not 0 0 0 1: the matrix may be transposed.
+    #[error("{matrix}[3][{column}] is {found}; {allowed} is allowed there: the matrix may be transposed")]
+    LastRow {
+        /// Which matrix.
+        matrix: &'static str,
+        /// Column of the entry.
+        column: usize,
+        /// Its value.
+        found: f64,
+        /// The value it must have.
+        allowed: f64,
+    },
     /// The eye is at the target, or `up` points along the view.
     #[error("look_at: {0} has no direction")]
     Direction(&'static str),

@@ -83,7 +83,7 @@ fn resizing_scales_the_image_and_nothing_else() {
 #[test]
 fn bad_numbers_are_named() {
     let intrinsics = Intrinsics { width: 8, height: 8, fx: 8.0, fy: f64::NAN, cx: 4.0, cy: 4.0 };
-    let (r, t) = split(&identity4());
+    let (r, t) = split("identity", &identity4()).unwrap();
     let error = Camera::new(intrinsics, r, t).unwrap_err().to_string();
     assert!(error.starts_with("fy is NaN"), "{error}");
     let mut mirrored = r;
@@ -160,5 +160,33 @@ fn a_pose_says_the_same_as_the_camera() {
         let product: f64 = found.iter().zip([w, -x, -y, -z]).map(|(a, b)| a * b).sum();
         assert!((product.abs() - 1.0).abs() < 1e-6, "{q:?} became {found:?}");
         assert!(camera.to_camera(pose.position).iter().all(|v| v.abs() < 1e-5));
+    }
+}
+
+#[test]
+fn a_transposed_matrix_is_refused() {
+    let camera = Camera::look_at([1.0, 2.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 1.0, 8, 8).unwrap();
+    let i = camera.intrinsics();
+    let k = [[i.fx, 0.0, i.cx], [0.0, i.fy, i.cy], [0.0, 0.0, 1.0]];
+    let mut matrix = identity4();
+    for (i, row) in matrix[..3].iter_mut().enumerate() {
+        row[..3].copy_from_slice(&camera.rotation()[i]);
+        row[3] = camera.translation()[i];
+    }
+    assert_eq!(Camera::from_opencv(k, matrix, 8, 8).unwrap(), camera);
+    let transposed = std::array::from_fn(|i| std::array::from_fn(|j| matrix[j][i]));
+    for (made, name) in [
+        (Camera::from_opencv(k, transposed, 8, 8), "world_to_camera[3]["),
+        (Camera::from_opengl(transposed, i), "camera_to_world[3]["),
+        (Camera::from_blender(transposed, 1.0, 8, 8), "camera_to_world[3]["),
+    ] {
+        let error = made.unwrap_err().to_string();
+        assert!(error.starts_with(name) && error.ends_with("may be transposed"), "{error}");
+    }
+    // Digits that a file has lost are no reason to refuse it.
+    for (off, is_refused) in [(9e-7, false), (2e-6, true), (f64::NAN, true)] {
+        let mut near = matrix;
+        near[3][3] = 1.0 + off;
+        assert_eq!(Camera::from_opencv(k, near, 8, 8).is_err(), is_refused, "{off}");
     }
 }

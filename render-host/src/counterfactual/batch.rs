@@ -56,14 +56,17 @@ impl WorldBatch {
         Ok(strict::images(&self.shared, &self.camera, &self.settings, states)?.images)
     }
 
-    /// Bytes that [`WorldBatch::images`] of `worlds` worlds needs at most, this batch included.
+    /// Bytes that [`WorldBatch::images`] of `worlds` worlds needs at most, this batch included. Saturates.
     pub fn predict_bytes(&self, worlds: usize) -> u64 {
         let [width, height] = self.shared.size;
-        let pictures = worlds * (12 * width * height + size_of::<Image>());
-        // A row of tiles, every world a class of its own, and the class of each world.
-        let tiles = self.shared.columns * (worlds * TILE_BYTES + 4 * worlds.next_multiple_of(CHUNK));
-        let sets = 8 * worlds * self.groups.div_ceil(64) + 16 * self.groups * worlds.div_ceil(CHUNK);
-        self.shared.bytes() + (pictures + tiles + sets) as u64
+        let picture = 12 * width * height + size_of::<Image>();
+        // A row of tiles, every world a class of its own; the class of each world; the set of each world, and
+        // that set again, transposed in chunks.
+        let of_world = picture + self.shared.columns * TILE_BYTES + 8 * self.groups.div_ceil(64);
+        let of_chunk = 4 * CHUNK * self.shared.columns + 16 * self.groups;
+        let chunks = worlds.div_ceil(CHUNK).saturating_mul(of_chunk);
+        let states = worlds.saturating_mul(of_world).saturating_add(chunks);
+        self.shared.bytes().saturating_add(states as u64)
     }
 
     /// The largest number of the first worlds of `states` that one call may hold within `budget` bytes:

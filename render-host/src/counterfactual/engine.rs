@@ -74,13 +74,15 @@ impl Engine {
     }
 
     /// Bytes that [`Engine::fast`] or [`Engine::strict`] of `worlds` worlds needs, this engine included.
+    /// Saturates.
     pub fn predict_bytes(&self, worlds: usize) -> u64 {
         let (tiles, groups) = (self.shared.tiles(), self.groups);
         // A sum per tile and world; the set of each world; that set again, transposed in chunks.
-        let sums = 8 * worlds * (tiles + 1);
-        let sets = 8 * worlds * groups.div_ceil(64) + 16 * groups * worlds.div_ceil(CHUNK);
+        let of_worlds = worlds.saturating_mul(8 * (tiles + 1) + 8 * groups.div_ceil(64));
+        let transposed = worlds.div_ceil(CHUNK).saturating_mul(16 * groups);
         let scaled_down = self.scaled_down.as_ref().map_or(0, |scaled_down| scaled_down.bytes());
-        self.shared.bytes() + scaled_down + (tiles * size_of::<Planes>() + sums + sets) as u64
+        let states = (of_worlds as u64).saturating_add(transposed as u64);
+        (self.shared.bytes() + scaled_down + (tiles * size_of::<Planes>()) as u64).saturating_add(states)
     }
 
     /// Number of groups.

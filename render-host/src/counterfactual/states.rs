@@ -59,8 +59,11 @@ impl States {
 
     /// Whether `world` holds `group`; false out of range.
     pub fn has(&self, world: usize, group: usize) -> bool {
+        if world >= self.worlds || group >= self.groups {
+            return false;
+        }
         let word = self.bits.get(world * self.groups.div_ceil(64) + group / 64);
-        world < self.worlds && group < self.groups && word.is_some_and(|w| w >> (group % 64) & 1 == 1)
+        word.is_some_and(|w| w >> (group % 64) & 1 == 1)
     }
 
     /// World `world` alone; no world when out of range.
@@ -122,6 +125,7 @@ mod tests {
             }
         }
         assert!(!states.has(131, 0) && !states.has(0, 70));
+        assert!(!states.has(usize::MAX, 0) && !states.has(0, usize::MAX));
         let some = states.range(127..500);
         assert!(some.len() == 4 && (0..70).all(|g| some.has(1, g) == states.has(128, g)));
         assert!(states.range(500..600).is_empty() && states.range(7..7).is_empty());

@@ -29,7 +29,8 @@ pub fn flicker(test: &[Image], reference: &[Image]) -> Result<f64, ImageError> {
         sum / t[0].rgb().len() as f64
     });
     let count = test.len().saturating_sub(1).max(1) as f64;
-    Ok(changes.sum::<f64>() / count)
+    // The sum of nothing is -0.
+    Ok((changes.sum::<f64>() + 0.0) / count)
 }
 
 #[cfg(test)]
@@ -38,6 +39,14 @@ mod tests {
 
     fn frames(values: &[f32]) -> Vec<Image> {
         values.iter().map(|&v| Image::filled(4, 3, [v; 3]).unwrap()).collect()
+    }
+
+    #[test]
+    fn one_picture_and_none_do_not_flicker() {
+        for count in [0, 1] {
+            let found = flicker(&frames(&vec![0.5; count]), &frames(&vec![0.1; count])).unwrap();
+            assert_eq!(found.to_bits(), 0.0f64.to_bits(), "{count}: {found}");
+        }
     }
 
     #[test]

@@ -5,7 +5,8 @@
 //! and points of the luminance are compared. The two join as `colour^(1 - feature)`, per pixel.
 //!
 //! Input is sRGB display values, clamped to 0..=1. Every filter is a sum of separable ones, so it runs
-//! along rows, then along columns; edges repeat the border pixel. Equal images give exactly 0.
+//! along rows, then along columns; edges repeat the border pixel. Equal images give exactly 0; a NaN of
+//! either image makes its surroundings in the map, and the mean, NaN.
 //! A test holds this file to the authors' own program.
 
 use crate::{
@@ -27,9 +28,9 @@ const FEATURE_WIDTH: f64 = 0.082;
 /// The result of a comparison.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Flip {
-    /// Mean over all pixels, 0..=1.
+    /// Mean over all pixels, 0..=1; NaN when either image holds one.
     pub mean: f64,
-    /// Error per pixel, 0..=1, row by row.
+    /// Error per pixel, 0..=1, row by row; NaN where the filters reach one of either image.
     pub map: Vec<f32>,
 }
 
@@ -54,7 +55,14 @@ pub fn flip(test: &Image, reference: &Image, pixels_per_degree: f64) -> Result<F
             let edge = (a.edge[i] - b.edge[i]).abs();
             let point = (a.point[i] - b.point[i]).abs();
             let feature = (edge.max(point) * std::f32::consts::FRAC_1_SQRT_2).powf(FEATURE_EXPONENT);
-            *out = if colour > 0.0 { colour.powf(1.0 - feature.min(1.0)) } else { 0.0 };
+            // `max` and `min` pass NaN over; a sum does not.
+            *out = if (colour + edge + point).is_nan() {
+                f32::NAN
+            } else if colour > 0.0 {
+                colour.powf(1.0 - feature.min(1.0))
+            } else {
+                0.0
+            };
         }
     });
     let rows = map.chunks_exact(width).map(|row| row.iter().map(|&v| f64::from(v)).sum::<f64>());
@@ -316,6 +324,19 @@ mod tests {
         let white = Image::filled(16, 16, [1.0; 3]).unwrap();
         let mean = flip(&black, &white, PIXELS_PER_DEGREE).unwrap().mean;
         assert!(mean > 0.9 && mean <= 1.0, "{mean}");
+    }
+
+    #[test]
+    fn a_picture_with_nan_is_not_perfect() {
+        let good = picture(40, 30, 3);
+        let mut bad = good.clone();
+        bad.rgb_mut()[3 * (15 * 40 + 20)] = f32::NAN;
+        for (test, reference) in [(&bad, &good), (&good, &bad), (&bad, &bad)] {
+            let out = flip(test, reference, PIXELS_PER_DEGREE).unwrap();
+            assert!(out.mean.is_nan() && out.map[15 * 40 + 20].is_nan());
+        }
+        let all = Image::filled(16, 16, [f32::NAN; 3]).unwrap();
+        assert!(flip(&all, &all, PIXELS_PER_DEGREE).unwrap().mean.is_nan());
     }
 
     #[test]

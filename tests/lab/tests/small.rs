@@ -22,13 +22,13 @@ fn capi() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../codec-core/capi")
 }
 
-/// The C file `source` as a program in `folder`; `None` where there is no C compiler and nobody demands
-/// one.
-fn program(folder: &Path, source: &str) -> Option<PathBuf> {
+/// The C file `source`, which is of the language's version `standard`, as a program in `folder`; `None` where
+/// there is no C compiler and nobody demands one.
+fn program(folder: &Path, standard: &str, source: &str) -> Option<PathBuf> {
     let capi = capi();
     let program = folder.join("program");
     let output = Command::new("cc")
-        .args(["-std=c99", "-O1", "-Wall", "-Wextra", "-pedantic", "-Werror", "-I"])
+        .args([standard, "-O1", "-Wall", "-Wextra", "-pedantic", "-Werror", "-I"])
         .arg(capi.join("include"))
         .arg(capi.join(source))
         .arg(library())
@@ -60,7 +60,7 @@ fn a_c_program_decodes_a_damaged_stream_to_the_same_bits() {
     let folder = tempfile::tempdir().unwrap();
     let fixture = Fixture::make().unwrap();
     fixture.write(folder.path()).unwrap();
-    let Some(program) = program(folder.path(), "tests/decode.c") else { return };
+    let Some(program) = program(folder.path(), "-std=c99", "tests/decode.c") else { return };
     let output = decode(&program, folder.path(), &fixture.frames);
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{text}");
@@ -95,7 +95,7 @@ fn a_c_program_decodes_a_damaged_stream_to_the_same_bits() {
 #[test]
 fn the_example_in_c_shows_what_rust_shows_and_stands_in_its_readme() {
     let folder = tempfile::tempdir().unwrap();
-    let Some(program) = program(folder.path(), "examples/play.c") else { return };
+    let Some(program) = program(folder.path(), "-std=c11", "examples/play.c") else { return };
     let source = std::fs::read_to_string(capi().join("examples/play.c")).unwrap();
     assert!(std::fs::read_to_string(capi().join("README.md")).unwrap().contains(&source));
     for name in ["one", "everything", "paper"] {

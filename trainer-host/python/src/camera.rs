@@ -1,18 +1,31 @@
 //! Shows cameras as Python programs have them: matrices of gsplat, or a place to look from.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
+
 use numpy::PyArrayDyn;
-use pyo3::prelude::*;
+use pyo3::{prelude::*, types::PyType};
 use render_host::Camera as Pinhole;
 
 use crate::{
     array::{Numbers, array},
-    error::refused,
+    error::{refused, whole},
 };
 
 /// A pinhole camera with OpenCV axes: x right, y down, z forward.
-#[pyclass(module = "dgs", frozen)]
-#[derive(Clone)]
+#[pyclass(module = "dgs", frozen, eq)]
+#[derive(Clone, PartialEq)]
 pub struct Camera(pub Pinhole);
+
+/// The arguments that make a camera again.
+type Parts<'py> = (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>, u32, u32, f64);
+
+/// What [`Pinhole::look_at`] takes, in degrees.
+const FOV_Y: (f64, f64) = (1e-4, 179.9999);
+
+/// Width and height, pixels.
+fn size(width: i128, height: i128) -> PyResult<(u32, u32)> {
+    Ok((whole("width", width)?, whole("height", height)?))
+}
 
 /// The camera of a row-major world-to-camera matrix and intrinsics.
 fn of_matrices(viewmat: &[f64], k: &[f64], size: (u32, u32), near: f64) -> PyResult<Camera> {
@@ -37,8 +50,8 @@ impl Camera {
     fn new(
         viewmat: &Bound<'_, PyAny>,
         K: &Bound<'_, PyAny>,
-        width: u32,
-        height: u32,
+        width: i128,
+        height: i128,
         near: f64,
     ) -> PyResult<Self> {
         let viewmat = Numbers::<f64>::read("viewmat", viewmat)?;
@@ -49,7 +62,7 @@ impl Camera {
         if k.shape != [3, 3] {
             return Err(k.misshapen("[3, 3]"));
         }
-        of_matrices(&viewmat.values, &k.values, (width, height), near)
+        of_matrices(&viewmat.values, &k.values, size(width, height)?, near)
     }
 
     /// Cameras of many matrices, as gsplat takes them: viewmats [C, 4, 4] and Ks [C, 3, 3].
@@ -59,8 +72,8 @@ impl Camera {
     fn many(
         viewmats: &Bound<'_, PyAny>,
         Ks: &Bound<'_, PyAny>,
-        width: u32,
-        height: u32,
+        width: i128,
+        height: i128,
         near: f64,
     ) -> PyResult<Vec<Self>> {
         let viewmats = Numbers::<f64>::read("viewmats", viewmats)?;
@@ -69,7 +82,7 @@ impl Camera {
         if ks.shape != [count, 3, 3] {
             return Err(ks.misshapen(format!("[{count}, 3, 3]")));
         }
-        all(&viewmats, &ks, (width, height), near)
+        all(&viewmats, &ks, size(width, height)?, near)
     }
 
     /// A camera at `eye` that looks at `target`, with a vertical field of view of `fov_y` degrees;
@@ -81,10 +94,15 @@ impl Camera {
         target: [f64; 3],
         up: [f64; 3],
         fov_y: f64,
-        width: u32,
-        height: u32,
+        width: i128,
+        height: i128,
         near: f64,
     ) -> PyResult<Self> {
+        let (least, most) = FOV_Y;
+        if !(least..=most).contains(&fov_y) {
+            return Err(refused(format!("fov_y is {fov_y} degrees; {least} to {most} are allowed")));
+        }
+        let (width, height) = size(width, height)?;
         let camera = Pinhole::look_at(eye, target, up, fov_y.to_radians(), width, height).map_err(refused)?;
         Ok(Self(camera.with_near(near).map_err(refused)?))
     }
@@ -122,6 +140,22 @@ impl Camera {
     #[getter]
     fn near(&self) -> f64 {
         self.0.near()
+    }
+
+    /// Equal cameras have equal numbers; 0 and -0 are equal.
+    fn __hash__(&self) -> u64 {
+        let (i, mut hasher) = (self.0.intrinsics(), DefaultHasher::new());
+        (i.width, i.height).hash(&mut hasher);
+        let rest = [i.fx, i.fy, i.cx, i.cy, self.0.near()];
+        let pose = self.0.rotation().into_iter().flatten().chain(self.0.translation());
+        pose.chain(rest).for_each(|v| (v + 0.0).to_bits().hash(&mut hasher));
+        hasher.finish()
+    }
+
+    /// How `pickle` and `copy` make it again, to the bit.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyType>, Parts<'py>)> {
+        let parts = (self.viewmat(py)?, self.K(py)?, self.width(), self.height(), self.near());
+        Ok((py.get_type::<Self>(), parts))
     }
 
     fn __repr__(&self) -> String {

@@ -10,7 +10,7 @@ use serde_json::json;
 use trainer_host::encode::{EncodeOptions, Protection, Quality, Target};
 
 use crate::{
-    error::{of_file, refused},
+    error::{of_file, refused, whole},
     scene::Scene,
     stream::Stream,
 };
@@ -84,15 +84,15 @@ pub fn encode(
     profile: &str,
     coarseness: f32,
     target_bits_per_gaussian: Option<f64>,
-    target_bytes: Option<u64>,
+    target_bytes: Option<i128>,
     target_psnr: Option<f64>,
-    pictures: usize,
-    search: usize,
-    cluster_size: usize,
-    block_len: usize,
-    window_frames: Option<usize>,
-    rank: Option<usize>,
-    packet_bytes: usize,
+    pictures: i128,
+    search: i128,
+    cluster_size: i128,
+    block_len: i128,
+    window_frames: Option<i128>,
+    rank: Option<i128>,
+    packet_bytes: i128,
     repair: &str,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Encoded> {
@@ -108,19 +108,21 @@ pub fn encode(
     if !(0.001..=1000.0).contains(&coarseness) {
         return Err(refused(format!("coarseness is {coarseness}; 0.001 to 1000 are allowed")));
     }
+    let cluster_size = whole("cluster_size", cluster_size)?;
+    let target_bytes = target_bytes.map(|bytes| whole("target_bytes", bytes)).transpose()?;
     let mut cluster = base.cluster;
     cluster.max_gaussians = cluster_size;
     cluster.min_gaussians = cluster.min_gaussians.min(cluster_size);
     let options = EncodeOptions {
         cluster,
-        block_len,
-        window_frames,
-        rank: rank.unwrap_or(base.rank),
+        block_len: whole("block_len", block_len)?,
+        window_frames: window_frames.map(|frames| whole("window_frames", frames)).transpose()?,
+        rank: rank.map_or(Ok(base.rank), |rank| whole("rank", rank))?,
         quality: Quality::default().scaled(coarseness),
         target: target(target_bits_per_gaussian, target_bytes, target_psnr)?,
-        pictures,
-        search,
-        packet_bytes,
+        pictures: whole("pictures", pictures)?,
+        search: whole("search", search)?,
+        packet_bytes: whole("packet_bytes", packet_bytes)?,
         repair: Protection::parse(repair).map_err(|error| refused(format!("repair: {error}")))?,
         ..base
     };

@@ -20,6 +20,9 @@ pub const NAMES: [&str; 6] = ["means", "scales", "quats", "opacities", "sh0", "s
 /// What says how a frame is drawn.
 const FOOTPRINT: &str = "footprint";
 
+/// How far from the ends of their range opacities and scales are where gradients of linear values are taken.
+const INSIDE: f32 = 1e-6;
+
 /// The harmonic degree that has `each` coefficients above band 0 per channel.
 pub fn degree_of(each: usize) -> Option<ShDegree> {
     [0, 3, 8, 15].iter().position(|&k| k == each).and_then(|degree| ShDegree::new(degree as u8))
@@ -72,7 +75,7 @@ impl Frame {
         }
     }
 
-    /// The named tuple `dgs.Gaussians`, which are drawn with `footprint`.
+    /// The `dgs.Gaussians`, which are drawn with `footprint`.
     pub fn into_python(self, py: Python<'_>, footprint: Footprint) -> PyResult<Bound<'_, PyAny>> {
         let n = self.opacities.len();
         let arrays = (
@@ -155,6 +158,15 @@ impl Splatting {
             sh0: sh0[i],
         });
         Ok(Self { gaussians: gaussians.collect(), sh_rest: bands.values, degree, shapes })
+    }
+
+    /// Moves opacities of 0 and 1 and scales of 0 inside by [`INSIDE`]: at the ends themselves the gradients
+    /// of logits and logarithms are 0, and say nothing of those of what they stand for.
+    pub fn move_inside(&mut self) {
+        for gaussian in &mut self.gaussians {
+            gaussian.opacity = gaussian.opacity.clamp(INSIDE, 1.0 - INSIDE);
+            gaussian.scale = gaussian.scale.map(|scale| scale.max(INSIDE));
+        }
     }
 
     /// What a renderer takes.

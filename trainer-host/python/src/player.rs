@@ -5,17 +5,14 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use codec_core::{ErrorKind, internals::ids::Level};
 use dgs_player::{Caps, Player as Receiver};
 use numpy::PyArrayDyn;
-use pyo3::{
-    prelude::*,
-    types::{PyBytes, PyDict},
-};
+use pyo3::{prelude::*, types::PyDict};
 
 use crate::{
     activation::Activation,
     array::array,
     error::{checked_frame, damaged},
     gaussians::Frame,
-    stream::{self, Stream},
+    stream::{self, Stream, bytes_of},
 };
 
 /// Why packets are refused.
@@ -74,12 +71,15 @@ impl Player {
 
     /// A player of the stream of this manifest, none of whose packets have arrived.
     #[staticmethod]
-    fn from_manifest(manifest: &[u8]) -> PyResult<Self> {
-        Ok(Self::of(Receiver::new(manifest, &Caps::HOST).map_err(damaged)?, None))
+    fn from_manifest(manifest: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let manifest = bytes_of("manifest", manifest)?;
+        Ok(Self::of(Receiver::new(&manifest, &Caps::HOST).map_err(damaged)?, None))
     }
 
     /// Takes one packet; gives the ids of the packets that are known by it, none if it has come before.
-    fn push(&self, py: Python<'_>, packet: &[u8]) -> PyResult<Vec<u32>> {
+    fn push(&self, py: Python<'_>, packet: &Bound<'_, PyAny>) -> PyResult<Vec<u32>> {
+        let packet = bytes_of("packet", packet)?;
+        let packet = packet.as_ref();
         let accepted = match py.detach(|| self.lock().push(packet)) {
             Err(error) if error.kind == ErrorKind::Duplicate => return Ok(Vec::new()),
             accepted => accepted.map_err(damaged)?,
@@ -89,9 +89,12 @@ impl Player {
     }
 
     /// Takes many packets; those that are refused are counted.
-    fn push_all(&self, py: Python<'_>, packets: Vec<Bound<'_, PyBytes>>) {
-        let packets: Vec<&[u8]> = packets.iter().map(|packet| packet.as_bytes()).collect();
+    fn push_all(&self, py: Python<'_>, packets: Vec<Bound<'_, PyAny>>) -> PyResult<()> {
+        let packets =
+            packets.iter().map(|packet| bytes_of("packets", packet)).collect::<PyResult<Vec<_>>>()?;
+        let packets: Vec<&[u8]> = packets.iter().map(AsRef::as_ref).collect();
         py.detach(|| self.lock().push_all(packets.into_iter().filter(|packet| !packet.is_empty())));
+        Ok(())
     }
 
     /// The arrays of a frame, as far as it has arrived.
@@ -147,7 +150,9 @@ impl Player {
         let out = PyDict::new(py);
         out.set_item("media", counters.media)?;
         out.set_item("parity", counters.parity)?;
+        out.set_item("early", counters.early)?;
         out.set_item("recovered", counters.recovered)?;
+        out.set_item("repair_failed", counters.repair_failed)?;
         let refused = PyDict::new(py);
         for kind in KINDS {
             refused.set_item(kind.name(), counters.refused[kind.index()])?;

@@ -13,7 +13,7 @@ use crate::{
     activation::Activation,
     array::{Numbers, array},
     camera::Camera,
-    error::refused,
+    error::{refused, whole},
     gaussians::{Splatting, footprint, needed},
     scene::{Scene, footprint_of},
 };
@@ -49,12 +49,13 @@ fn cameras(value: &Bound<'_, PyAny>) -> PyResult<Vec<Pinhole>> {
 fn settings(
     background: Option<[f32; 3]>,
     footprint: Footprint,
-    sh_degree: u8,
+    sh_degree: i128,
     alpha_cutoff: Option<f32>,
 ) -> PyResult<Settings> {
+    let max_sh_degree = whole("sh_degree", sh_degree)?;
     let usual = Settings::over(background.unwrap_or_default());
     let alpha_cutoff = alpha_cutoff.unwrap_or(usual.alpha_cutoff);
-    let settings = Settings { max_sh_degree: sh_degree, alpha_cutoff, ..usual }.with_footprint(footprint);
+    let settings = Settings { max_sh_degree, alpha_cutoff, ..usual }.with_footprint(footprint);
     settings.validate().map_err(refused)?;
     Ok(settings)
 }
@@ -95,7 +96,7 @@ pub fn render<'py>(
     background: Option<[f32; 3]>,
     alpha: bool,
     footprint: Option<&str>,
-    sh_degree: u8,
+    sh_degree: i128,
     alpha_cutoff: Option<f32>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let activation = Activation::of(activation)?;
@@ -171,7 +172,8 @@ impl Sums {
         }
     }
 
-    /// Takes gradients of logarithms and logits to the domain that the arrays are in.
+    /// Takes gradients of logarithms and logits to the domain that the arrays are in. Linear values are
+    /// inside their range, so that nothing is divided by 0.
     fn in_domain(mut self, splatting: &Splatting, scales: &[f32], activation: Activation) -> Self {
         for (i, gaussian) in splatting.gaussians.iter().enumerate() {
             for axis in 0..3 {
@@ -180,21 +182,16 @@ impl Sums {
                 match activation {
                     Activation::Log if is_clamped => *slope = 0.0,
                     Activation::Log => (),
-                    Activation::Linear => *slope = divided(*slope, f64::from(gaussian.scale[axis])),
+                    Activation::Linear => *slope /= f64::from(gaussian.scale[axis]),
                 }
             }
             if activation == Activation::Linear {
                 let opacity = f64::from(gaussian.opacity);
-                self.arrays[3][i] = divided(self.arrays[3][i], opacity * (1.0 - opacity));
+                self.arrays[3][i] /= opacity * (1.0 - opacity);
             }
         }
         self
     }
-}
-
-/// `slope / by`, and 0 where `by` is.
-fn divided(slope: f64, by: f64) -> f64 {
-    if by == 0.0 { 0.0 } else { slope / by }
 }
 
 /// Adds `values` to as many sums.
@@ -219,13 +216,16 @@ pub fn render_backward<'py>(
     activation: &str,
     background: Option<[f32; 3]>,
     footprint: Option<&str>,
-    sh_degree: u8,
+    sh_degree: i128,
     alpha_cutoff: Option<f32>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let activation = Activation::of(activation)?;
     let cameras = self::cameras(cameras)?;
     let settings = settings(background, drawn(gaussians, footprint)?, sh_degree, alpha_cutoff)?;
-    let splatting = splatting(gaussians, 0, activation)?;
+    let mut splatting = splatting(gaussians, 0, activation)?;
+    if activation == Activation::Linear {
+        splatting.move_inside();
+    }
     let given = Numbers::<f32>::read("grad_images", grad_images)?;
     let (width, height) = (cameras[0].width() as usize, cameras[0].height() as usize);
     let channels = match given.shape[..] {

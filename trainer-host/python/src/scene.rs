@@ -1,15 +1,22 @@
 //! Shows scenes to Python: files and arrays in, arrays and files out.
 
-use std::path::{Path, PathBuf};
+use std::{
+    io::Read,
+    path::{Path, PathBuf},
+};
 
-use codec_core::Footprint;
+use codec_core::{Footprint, internals::wire::file};
 use numpy::PyArrayDyn;
-use pyo3::{exceptions::PyUserWarning, prelude::*};
+use pyo3::{
+    exceptions::{PyTypeError, PyUserWarning},
+    prelude::*,
+    types::PyDict,
+};
 use trainer_host::{
     edit::{self, Similarity, turn_between},
     encode::{self, EncodeOptions},
     export::{self, FileFormat},
-    import::{self, ImportOptions, Limits, gltf, synth},
+    import::{self, Format, ImportOptions, Limits, gltf, synth},
     scene::Up,
     stream::{Stream, decoded},
     viewpoint::{Framing, Ring},
@@ -20,8 +27,8 @@ use crate::{
     array::array,
     camera::Camera,
     clip,
-    error::{checked_frame, damaged, of_file, refused, unreadable},
-    gaussians::Frame,
+    error::{checked_frame, checked_rate, damaged, of_file, refused, unreadable, whole},
+    gaussians::{self, Frame},
 };
 
 /// Gaussians over frames.
@@ -44,9 +51,35 @@ pub fn up_of(name: &str) -> PyResult<Up> {
     })
 }
 
-/// Whether `path` is of a `.dgs` stream.
+/// Most cameras of a ring.
+const MAX_CAMERAS: usize = 100_000;
+
+/// Whether the name of `path` is that of a `.dgs` stream.
 fn is_stream(path: &Path) -> bool {
     path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("dgs"))
+}
+
+/// Whether the file at `path` begins as a `.dgs` stream does.
+fn begins_as_stream(path: &Path) -> PyResult<bool> {
+    let mut found = [0; file::MAGIC.len()];
+    match std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut found)) {
+        Ok(()) => Ok(found == file::MAGIC),
+        // Short, as `read` will say; a folder cannot be read on some systems, and not opened on others.
+        Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof || path.is_dir() => Ok(false),
+        Err(error) => Err(of_file(path, &error)),
+    }
+}
+
+/// Whether `path` is read as a stream: its content is one, or its name says so and its content nothing else.
+fn is_read_as_stream(path: &Path) -> PyResult<bool> {
+    if begins_as_stream(path)? {
+        return Ok(true);
+    }
+    if !is_stream(path) || path.is_dir() {
+        return Ok(false);
+    }
+    let bytes = std::fs::read(path).map_err(|error| of_file(path, &error))?;
+    Ok(import::sniff(&bytes, path) == Format::Unknown)
 }
 
 /// The frames of a stream, as far as they have arrived, and what is amiss with it.
@@ -145,19 +178,21 @@ impl Scene {
         py: Python<'_>,
         path: PathBuf,
         fps: f64,
-        samples: usize,
+        samples: i128,
         clip: Option<String>,
-        seed: u64,
+        seed: i128,
         identity_stored: bool,
         keep_readable: bool,
-        max_gaussians: usize,
+        max_gaussians: i128,
         up: Option<&str>,
     ) -> PyResult<Self> {
-        let up = up.map(up_of).transpose()?;
+        let (up, fps) = (up.map(up_of).transpose()?, checked_rate(fps)?);
+        let (samples, seed) = (whole("samples", samples)?, whole("seed", seed)?);
+        let max_gaussians = whole("max_gaussians", max_gaussians)?;
         if !path.exists() {
             return Err(of_file(&path, &std::io::Error::from(std::io::ErrorKind::NotFound)));
         }
-        if is_stream(&path) {
+        if is_read_as_stream(&path)? {
             let (mut scene, damage) = py.detach(|| decode(&path))?;
             if let Some(damage) = damage {
                 let message = std::ffi::CString::new(damage).map_err(refused)?;
@@ -185,31 +220,37 @@ impl Scene {
     /// A scene of arrays.
     #[staticmethod]
     #[pyo3(signature = (
-        means, scales, quats, opacities, sh0, shN = None, *, fps = 30.0, activation = "log",
-        up = "minus-y", footprint = "dilated"
+        means, scales = None, quats = None, opacities = None, sh0 = None, shN = None, *, fps = 30.0,
+        activation = "log", up = "minus-y", footprint = None
     ))]
     #[allow(clippy::too_many_arguments, reason = "keyword arguments of Python")]
     #[allow(non_snake_case, reason = "the name that higher bands have in gsplat")]
     fn from_arrays(
         means: &Bound<'_, PyAny>,
-        scales: &Bound<'_, PyAny>,
-        quats: &Bound<'_, PyAny>,
-        opacities: &Bound<'_, PyAny>,
-        sh0: &Bound<'_, PyAny>,
+        scales: Option<&Bound<'_, PyAny>>,
+        quats: Option<&Bound<'_, PyAny>>,
+        opacities: Option<&Bound<'_, PyAny>>,
+        sh0: Option<&Bound<'_, PyAny>>,
         shN: Option<&Bound<'_, PyAny>>,
         fps: f64,
         activation: &str,
         up: &str,
-        footprint: &str,
+        footprint: Option<&str>,
     ) -> PyResult<Self> {
-        let (up, footprint) = (up_of(up)?, footprint_of(footprint)?);
-        let source = pyo3::types::PyDict::new(means.py());
-        for (name, value) in
-            [("means", means), ("scales", scales), ("quats", quats), ("opacities", opacities), ("sh0", sh0)]
-        {
-            source.set_item(name, value)?;
-        }
-        source.set_item("shN", shN)?;
+        let up = up_of(up)?;
+        let arrays = [Some(means), scales, quats, opacities, sh0, shN];
+        let source = if arrays[1..].iter().all(Option::is_none) {
+            means.clone()
+        } else {
+            let source = PyDict::new(means.py());
+            for (name, array) in gaussians::NAMES.into_iter().zip(arrays) {
+                source.set_item(name, array)?;
+            }
+            source.into_any()
+        };
+        let named = footprint.map(|name| Ok(Some(name.to_owned())));
+        let named = named.unwrap_or_else(|| gaussians::footprint(&source))?;
+        let footprint = named.map_or(Ok(Footprint::default()), |name| footprint_of(&name))?;
         let mut scene = clip::scene(&source, fps, Activation::of(activation)?)?;
         (scene.up, scene.footprint) = (up, footprint);
         Ok(Self(scene))
@@ -218,14 +259,17 @@ impl Scene {
     /// A scene that needs no file.
     #[staticmethod]
     #[pyo3(signature = (kind = "figure", *, gaussians = 2000, frames = 8, seed = 1))]
-    fn synth(py: Python<'_>, kind: &str, gaussians: usize, frames: usize, seed: u64) -> PyResult<Self> {
+    fn synth(py: Python<'_>, kind: &str, gaussians: i128, frames: i128, seed: i128) -> PyResult<Self> {
         let kind = synth::SynthKind::ALL.into_iter().find(|found| found.name() == kind).ok_or_else(|| {
             let names = synth::SynthKind::ALL.map(synth::SynthKind::name).join(", ");
             refused(format!("kind is {kind:?}; {names} are allowed"))
         })?;
+        let (gaussians, frames) = (whole("gaussians", gaussians)?, whole("frames", frames)?);
+        let seed = whole("seed", seed)?;
         let options = synth::SynthOptions { kind, gaussians, frames, seed, ..Default::default() };
         let scene = py.detach(|| synth::make(&options, &Limits::default()));
-        Ok(Self(scene.map_err(|error| unreadable(&error))?))
+        // Whatever is wrong is an argument: no file is read.
+        Ok(Self(scene.map_err(refused)?))
     }
 
     /// The arrays of a frame.
@@ -308,10 +352,31 @@ impl Scene {
 
     /// Cameras around the scene.
     #[pyo3(signature = (count, width, height, *, held_out = true))]
-    fn ring(&self, count: usize, width: u32, height: u32, held_out: bool) -> PyResult<Vec<Camera>> {
+    fn ring(&self, count: i128, width: i128, height: i128, held_out: bool) -> PyResult<Vec<Camera>> {
+        let found = usize::try_from(count).ok().filter(|count| (1..=MAX_CAMERAS).contains(count));
+        let wrong = || refused(format!("count is {count}; 1 to {MAX_CAMERAS} cameras are allowed"));
+        let count = found.ok_or_else(wrong)?;
+        let (width, height) = (whole("width", width)?, whole("height", height)?);
         let ring = if held_out { Ring::HeldOut } else { Ring::Measuring };
         let cameras = Framing::of(&self.0).ring(ring, count, (width, height)).map_err(refused)?;
         Ok(cameras.into_iter().map(Camera).collect())
+    }
+
+    /// A scene does not change: a copy is the scene itself.
+    fn __deepcopy__(slf: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        slf
+    }
+
+    /// A scene does not change: a copy is the scene itself.
+    fn __copy__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    /// A scene is not pickled: it may be of gigabytes.
+    fn __reduce__(&self) -> PyResult<()> {
+        Err(PyTypeError::new_err(
+            "a dgs.Scene is not pickled; save it as .4dgs and load it, or pickle its arrays, scene.at(frame)",
+        ))
     }
 
     fn __repr__(&self) -> String {

@@ -72,6 +72,35 @@ def test_matrices_and_places_are_the_same_camera() -> None:
     assert not np.array_equal(pictures[0], dgs.render(source, cameras()[0])[0])
 
 
+def test_cameras_are_compared_copied_and_pickled() -> None:
+    a, b = cameras()
+    for same in (copy.copy(a), copy.deepcopy(a), pickle.loads(pickle.dumps(a)), cameras()[0]):
+        assert same == a and hash(same) == hash(a) and same.near == a.near
+        assert np.array_equal(same.viewmat, a.viewmat) and np.array_equal(same.K, a.K)
+    assert a != b and a != dgs.Camera(a.viewmat, a.K, WIDTH, HEIGHT, near=0.5) and a != 3
+    assert len({a, b, *cameras()}) == 2
+
+
+def test_arrays_of_numpy_are_places_and_colours() -> None:
+    eye, target, up = np.array([0, 0, -4.0]), np.zeros(3), np.array([0, -1, 0])
+    camera = dgs.Camera.look_at(eye, target, up, 40.0, WIDTH, HEIGHT)
+    assert camera == cameras()[0]
+    grey = dgs.render(gaussians("log"), camera, background=np.full(3, 0.5, np.float32))
+    assert np.array_equal(grey, dgs.render(gaussians("log"), camera, background=[0.5, 0.5, 0.5]))
+
+
+def test_objects_with_arrays_are_rendered() -> None:
+    class Splats:
+        def __init__(self) -> None:
+            source = gaussians("log")
+            self.means, self.scales, self.quats = source.means, source.scales, source.quats
+            self.opacities, self.sh0, self.shN = source.opacities, source.sh0, source.shN
+            self.footprint = "pixel"
+
+    drawn = dgs.render(gaussians("log"), cameras(), footprint="pixel")
+    assert np.array_equal(dgs.render(Splats(), cameras()), drawn)
+
+
 def test_a_scene_is_rendered_as_its_arrays() -> None:
     scene = dgs.Scene.synth("balls", gaussians=1000, frames=3)
     around = scene.ring(2, width=32, height=24)
@@ -125,6 +154,41 @@ def test_a_gradient_that_is_off_is_noticed(name: str) -> None:
     assert worst(gaussians("log"), "log", 3, bent) > ALLOWED
 
 
+def one_sided(field: str, ends: dict[int, float], step: float) -> float:
+    """Largest distance of the gradients of values at the ends of their range from differences, relative."""
+    source = gaussians("linear")
+    values = getattr(source, field).copy()
+    for index, value in ends.items():
+        values.flat[index] = value
+    weights = np.random.default_rng(5).uniform(0.5, 1.0, size=(2, HEIGHT, WIDTH, 4)).astype(np.float32)
+    options: dict[str, Any] = {"activation": "linear", "alpha_cutoff": 0.0}
+
+    def number(values: NDArray[np.float32]) -> float:
+        picture = dgs.render(source._replace(**{field: values}), cameras(), alpha=True, **options)
+        return float(np.sum(picture.astype(np.float64) * weights))
+
+    found = dgs.render_backward(source._replace(**{field: values}), cameras(), weights, **options)[field]
+    apart = 0.0
+    for index, value in ends.items():
+        inside = values.copy()
+        inside.flat[index] = value + (step if value == 0.0 else -step)
+        slope = (number(inside) - number(values)) / (inside.flat[index] - value)
+        apart = max(apart, abs(slope - found.flat[index]) / float(np.linalg.norm(found)))
+    return apart
+
+
+def test_gradients_at_the_ends_of_a_range_are_one_sided() -> None:
+    assert one_sided("opacities", {0: 0.0, 3: 0.0}, 1e-3) < 0.01
+    # Where alpha is clamped at 0.99 the picture has a bend.
+    assert one_sided("opacities", {1: 1.0, 4: 1.0}, 1e-3) < 0.05
+    # A scale enters by its square: without others that are 0, it has no slope there.
+    assert one_sided("scales", {0: 0.0, 7: 0.0}, 1e-3) < 0.01
+    source = gaussians("linear")
+    at_ends = source._replace(opacities=np.array([0, 1] * 3, np.float32))
+    found = dgs.render_backward(at_ends, cameras(), np.ones((2, HEIGHT, WIDTH, 4)), activation="linear", alpha_cutoff=0.0)
+    assert np.isfinite(found["opacities"]).all() and (found["opacities"] != 0).all()
+
+
 def test_gradients_of_cameras_add_up() -> None:
     source, (a, b) = gaussians("log"), cameras()
     weights = np.random.default_rng(2).normal(size=(2, HEIGHT, WIDTH, 4)).astype(np.float32)
@@ -161,6 +225,14 @@ def test_what_is_wrong_is_named() -> None:
         dgs.render(source, cameras(), sh_degree=9)
     with pytest.raises(ValueError, match=r"viewmat: found shape \[3, 3\]"):
         dgs.Camera(np.eye(3), np.eye(3), 8, 8)
+    with pytest.raises(ValueError, match="viewmat|transposed"):
+        dgs.Camera(cameras()[1].viewmat.T, np.eye(3), 8, 8)
+    with pytest.raises(ValueError, match="fov_y is 200.* degrees; 0.0001 to 179.9999"):
+        dgs.Camera.look_at([0, 0, -4], [0, 0, 0], [0, 1, 0], 200, 8, 8)
+    with pytest.raises(ValueError, match="height is -8"):
+        dgs.Camera.look_at([0, 0, -4], [0, 0, 0], [0, 1, 0], 40, 8, -8)
+    with pytest.raises(ValueError, match="sh_degree is -1"):
+        dgs.render(source, cameras(), sh_degree=-1)
     with pytest.raises(ValueError, match="fx"):
         dgs.Camera(np.eye(4), np.zeros((3, 3)) + np.diag([0, 0, 1]), 8, 8)
 
@@ -168,15 +240,33 @@ def test_what_is_wrong_is_named() -> None:
 def test_a_footprint_goes_with_its_scene() -> None:
     made = dgs.Scene.synth("balls", gaussians=1000, frames=1)
     cameras = made.ring(1, width=32, height=32)
-    scene = dgs.Scene.from_arrays(*made.at(0), footprint="pixel")
+    scene = dgs.Scene.from_arrays(made.at(0), footprint="pixel")
     arrays = scene.at(0)
     assert (made.footprint, scene.footprint) == ("dilated", "pixel")
     drawn = dgs.render(scene, cameras)
     assert np.array_equal(drawn, dgs.render(arrays, cameras, footprint="pixel"))
-    for same in (arrays, arrays._replace(sh0=arrays.sh0), copy.copy(arrays), pickle.loads(pickle.dumps(arrays))):
+    for same in (
+        arrays,
+        arrays._replace(sh0=arrays.sh0),
+        copy.copy(arrays),
+        pickle.loads(pickle.dumps(arrays)),
+        dgs.Gaussians(*arrays, footprint=arrays.footprint),
+        dgs.Gaussians(**arrays._asdict()),
+    ):
         assert same.footprint == "pixel"
         assert np.array_equal(drawn, dgs.render(same, cameras))
-    bare = arrays._asdict()
+    # A scene normalises quaternions, which may change their last digit.
+    for same in (
+        dgs.Scene.from_arrays(arrays).at(0),
+        dgs.Scene.from_arrays(arrays._asdict()).at(0),
+        dgs.Scene.from_arrays(**arrays._asdict()).at(0),
+    ):
+        assert same.footprint == "pixel"
+        assert np.allclose(drawn, dgs.render(same, cameras), atol=1e-4)
+    assert np.array_equal(drawn, dgs.render(arrays._asdict(), cameras))
+    assert dgs.Scene.from_arrays(arrays, footprint="compensated").footprint == "compensated"
+    assert arrays._replace(footprint="compensated").footprint == "compensated"
+    bare = {name: getattr(arrays, name) for name in arrays._fields}
     assert not np.array_equal(drawn, dgs.render(bare, cameras))
     assert np.array_equal(drawn, dgs.render({**bare, "footprint": "pixel"}, cameras))
     with pytest.raises(ValueError, match="dilated, compensated, pixel are wanted"):

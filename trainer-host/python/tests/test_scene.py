@@ -1,6 +1,10 @@
 """Scenes of arrays and files: what comes back, and what is refused in which words."""
 
+import copy
+import errno
 import pathlib
+import pickle
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -41,7 +45,7 @@ def test_linear_is_the_exponential_of_log() -> None:
     log, linear = scene.at(0), scene.at(0, activation="linear")
     assert np.allclose(linear.scales, np.exp(log.scales), rtol=1e-6)
     assert np.allclose(linear.opacities, 1 / (1 + np.exp(-log.opacities)), rtol=1e-6)
-    again = dgs.Scene.from_arrays(*linear, activation="linear").at(0)
+    again = dgs.Scene.from_arrays(linear, activation="linear").at(0)
     assert np.allclose(again.scales, log.scales, atol=1e-5)
     assert np.allclose(again.opacities, log.opacities, atol=1e-5)
 
@@ -93,11 +97,42 @@ def test_other_mistakes_are_named_too() -> None:
     with pytest.raises(ValueError, match="opacities of 0 to 1"):
         dgs.Scene.from_arrays(**arrays() | {"scales": np.ones((50, 3))}, activation="linear")
     with pytest.raises(ValueError, match="up is"):
-        dgs.Scene.from_arrays(**arrays(), up="sideways")  # type: ignore[arg-type]
+        dgs.Scene.from_arrays(**arrays(), up="sideways")  # type: ignore[call-overload]
     with pytest.raises(ValueError, match="frame rate"):
         dgs.Scene.from_arrays(**arrays(), fps=0.0)
     with pytest.raises(ValueError, match="kind"):
         dgs.Scene.synth("teapot")
+    with pytest.raises(ValueError, match="has no quats"):
+        dgs.Scene.from_arrays(arrays()["means"], arrays()["scales"])
+    with pytest.raises(ValueError, match="has no means"):
+        dgs.Scene.from_arrays(arrays()["means"])
+
+
+def test_mistakes_of_a_caller_are_no_damage(tmp_path: pathlib.Path) -> None:
+    scene = dgs.Scene.from_arrays(**arrays(frames=1))
+    scene.save(tmp_path / "a.ply")
+    mistakes: list[tuple[str, Callable[[], object]]] = [
+        ("1000 to 1000000", lambda: dgs.Scene.synth(gaussians=0)),
+        ("gaussians is -1", lambda: dgs.Scene.synth(gaussians=-1)),
+        ("seed is -1", lambda: dgs.Scene.synth(gaussians=1000, seed=-1)),
+        ("fps is 0", lambda: dgs.Scene.load(tmp_path / "a.ply", fps=0)),
+        ("fps is NaN", lambda: dgs.convert(tmp_path / "a.ply", tmp_path / "b.ply", fps=float("nan"))),
+        ("max_gaussians is -1", lambda: dgs.Scene.load(tmp_path / "a.ply", max_gaussians=-1)),
+        ("count is 1099511627776; 1 to 100000", lambda: scene.ring(2**40, 8, 8)),
+        ("count is 0", lambda: scene.ring(0, 8, 8)),
+        ("width is -8", lambda: scene.ring(1, -8, 8)),
+    ]
+    for words, mistake in mistakes:
+        with pytest.raises(ValueError, match=words) as caught:
+            mistake()
+        assert not isinstance(caught.value, dgs.DamagedError), words
+
+
+def test_scenes_are_copied_and_not_pickled() -> None:
+    scene = dgs.Scene.from_arrays(**arrays())
+    assert copy.copy(scene) is scene and copy.deepcopy([scene])[0] is scene
+    with pytest.raises(TypeError, match="save it as .4dgs"):
+        pickle.dumps(scene)
 
 
 @pytest.mark.parametrize("ending", ["ply", "compressed.ply", "spz", "sog", "glb", "4dgs", "dgs"])
@@ -128,8 +163,13 @@ def test_convert_is_load_and_save(tmp_path: pathlib.Path) -> None:
 
 
 def test_files_that_are_not_there_or_not_whole(tmp_path: pathlib.Path) -> None:
-    with pytest.raises(FileNotFoundError, match="nowhere.ply"):
+    with pytest.raises(FileNotFoundError, match="nowhere.ply") as caught:
         dgs.Scene.load(tmp_path / "nowhere.ply")
+    assert caught.value.errno == errno.ENOENT
+    assert pathlib.Path(caught.value.filename) == tmp_path / "nowhere.ply"
+    with pytest.raises(FileNotFoundError) as caught:
+        dgs.Stream(tmp_path / "nowhere.dgs")
+    assert caught.value.errno == errno.ENOENT and "os error" not in str(caught.value)
     (tmp_path / "short.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 9\n")
     with pytest.raises(dgs.DamagedError, match="short.ply"):
         dgs.Scene.load(tmp_path / "short.ply")
@@ -137,6 +177,20 @@ def test_files_that_are_not_there_or_not_whole(tmp_path: pathlib.Path) -> None:
         dgs.Scene.from_arrays(**arrays()).save(tmp_path / "a.obj")
     with pytest.raises(FileNotFoundError):
         dgs.Scene.from_arrays(**arrays()).save(tmp_path / "no" / "a.ply")
+
+
+def test_content_decides_before_the_ending(tmp_path: pathlib.Path) -> None:
+    scene = dgs.Scene.from_arrays(**arrays(frames=1))
+    scene.save(tmp_path / "a.dgs")
+    scene.save(tmp_path / "a.ply")
+    (tmp_path / "a.dgs").rename(tmp_path / "stream.ply")
+    (tmp_path / "a.ply").rename(tmp_path / "points.dgs")
+    assert dgs.Scene.load(tmp_path / "stream.ply").gaussians == 50
+    assert np.array_equal(np.sort(dgs.Scene.load(tmp_path / "points.dgs").bounds), np.sort(scene.bounds))
+    for junk in (b"", b"DGS", bytes(100)):
+        (tmp_path / "junk.dgs").write_bytes(junk)
+        with pytest.raises(dgs.DamagedError):
+            dgs.Scene.load(tmp_path / "junk.dgs")
 
 
 def test_a_damaged_stream_is_used_with_a_warning(tmp_path: pathlib.Path) -> None:

@@ -1,6 +1,8 @@
 """Encoding and playing: what arrives, what is refused, what can be interrupted."""
 
+import copy
 import pathlib
+import pickle
 import threading
 from typing import Any
 
@@ -47,6 +49,7 @@ def test_a_target_is_met(scene: dgs.Scene) -> None:
         ({"profile": "other"}, "profile"),
         ({"coarseness": float("nan")}, "coarseness"),
         ({"block_len": 0}, "block_len"),
+        ({"block_len": -1}, "block_len is -1"),
         ({"repair": "base=1+"}, "repair"),
         ({"target_psnr": 1e9}, "target_psnr"),
     ],
@@ -73,6 +76,27 @@ def test_packets_arrive_in_any_order(encoded: dgs.Encoded) -> None:
     assert usable["canonical"] == [usable["blocks"]] * 4
 
 
+def test_bytes_of_any_kind_are_taken(encoded: dgs.Encoded) -> None:
+    stream, data = encoded.stream, bytes(encoded)
+    for kind in (bytes, bytearray, memoryview):
+        assert bytes(dgs.Stream(kind(data))) == data and dgs.Player(kind(data)).info["frames"] == 4
+        player = dgs.Player.from_manifest(kind(stream.manifest))
+        assert player.push(kind(stream.packets[0])) == [0]
+        player.push_all([kind(packet) for packet in stream.packets])
+        assert player.counters["media"] == len(stream)
+        assert player.counters["early"] == player.counters["repair_failed"] == 0
+    with pytest.raises(TypeError, match="packet is a .*str"):
+        player.push("packet")  # type: ignore[arg-type]
+
+
+def test_streams_are_copied_and_pickled(encoded: dgs.Encoded) -> None:
+    cut_off = dgs.Stream(bytes(encoded)[:-40])
+    for stream in (encoded.stream, encoded.stream.without([1, 3]), cut_off):
+        for same in (copy.copy(stream), copy.deepcopy(stream), pickle.loads(pickle.dumps(stream))):
+            assert (same.manifest, same.packets, same.damage) == (stream.manifest, stream.packets, stream.damage)
+    assert cut_off.damage is not None
+
+
 def test_what_is_lost_does_not_arrive(encoded: dgs.Encoded) -> None:
     stream = encoded.stream
     some = stream.without(range(0, len(stream), 2))
@@ -85,8 +109,9 @@ def test_what_is_lost_does_not_arrive(encoded: dgs.Encoded) -> None:
     assert dgs.Player(some.to_bytes()).damage is None
     cut_off = dgs.Player(some.to_bytes()[:-40])
     assert cut_off.damage is not None and "cut off" in cut_off.damage
-    with pytest.raises(ValueError, match="packets"):
-        stream.without([len(stream)])
+    for wrong in (len(stream), -1):
+        with pytest.raises(ValueError, match=f"packets.* {wrong}"):
+            stream.without([wrong])
 
 
 def test_parity_repairs(scene: dgs.Scene) -> None:

@@ -17,6 +17,51 @@ pub enum EncodeError {
         /// Largest allowed.
         high: usize,
     },
+    /// An option that is no whole number is out of range, or not a number.
+    #[error("option {option} is {found}; {low} to {high} is allowed")]
+    Number {
+        /// Which option.
+        option: &'static str,
+        /// Value found.
+        found: f64,
+        /// Smallest allowed.
+        low: f64,
+        /// Largest allowed.
+        high: f64,
+    },
+    /// A frame rate that a manifest does not hold: it would be written as another.
+    #[error("the scene's frame rate is {found}; {low} to {high} frames per second are allowed")]
+    FrameRate {
+        /// Value found.
+        found: f64,
+        /// Smallest allowed.
+        low: f64,
+        /// Largest allowed.
+        high: f64,
+    },
+    /// There is nothing to encode, or nowhere to measure from.
+    #[error("{what} is empty; at least one is needed")]
+    Empty {
+        /// Which list.
+        what: &'static str,
+    },
+    /// A Gaussian is further from the origin than the format holds.
+    #[error(
+        "Gaussian {gaussian} of epoch {epoch} is at {position:?} at frame {frame} of the scene; coordinates \
+         of -{most:e} to {most:e} scene units are allowed"
+    )]
+    Position {
+        /// Index of the epoch in the scene.
+        epoch: usize,
+        /// Index of the Gaussian in its epoch.
+        gaussian: usize,
+        /// Frame of the scene.
+        frame: usize,
+        /// Its centre there, scene units.
+        position: [f32; 3],
+        /// Largest magnitude of a coordinate.
+        most: f32,
+    },
     /// A target is out of range.
     #[error("option {option} is {found}; a number above 0 and up to {most} is allowed")]
     Target {

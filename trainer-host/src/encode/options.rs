@@ -10,6 +10,9 @@ use super::{
     sensitivity::MOST_PICTURES,
 };
 
+/// Range of steps and of factors on features: far beyond what can be of use, and no sum of them overflows.
+const NUMBERS: (f64, f64) = (1e-9, 1e9);
+
 /// Most encodings that a search may be asked for.
 const MOST_TRIALS: usize = 500;
 
@@ -174,10 +177,72 @@ impl EncodeOptions {
         within("table_choices", self.table_choices, 1, limits::MAX_TABLE_SET)?;
         within("packet_bytes", self.packet_bytes, 200, 1226)?;
         within("cluster.max_gaussians", self.cluster.max_gaussians, 1, limits::MAX_CLUSTER_LEN)?;
+        let Quality { position, scale, rotation, opacity, sh0, sh_rest, motion } = self.quality;
+        number("quality.position", position.into(), NUMBERS)?;
+        number("quality.scale", scale.into(), NUMBERS)?;
+        number("quality.rotation", rotation.into(), NUMBERS)?;
+        number("quality.opacity", opacity.into(), NUMBERS)?;
+        number("quality.sh0", sh0.into(), NUMBERS)?;
+        number("quality.sh_rest", sh_rest.into(), NUMBERS)?;
+        number("quality.motion", motion.into(), NUMBERS)?;
+        let from_zero = (0.0, NUMBERS.1);
+        number("cluster.max_variance", self.cluster.max_variance, from_zero)?;
+        let cluster::FeatureWeights { position, displacement, speed, visibility } = self.cluster.weights;
+        number("cluster.weights.position", position, from_zero)?;
+        number("cluster.weights.displacement", displacement, from_zero)?;
+        number("cluster.weights.speed", speed, from_zero)?;
+        number("cluster.weights.visibility", visibility, from_zero)?;
+        if self.target_views.as_ref().is_some_and(|views| views.cameras.is_empty()) {
+            return Err(EncodeError::Empty { what: "option target_views.cameras" });
+        }
         self.target.map_or(Ok(()), Target::check)?;
         self.repair.strengths().try_for_each(|strength| {
             within("repair.set_len", strength.set_len.into(), 2, limits::MAX_REPAIR_SET)?;
             within("repair.parity", strength.parity.into(), 1, limits::MAX_REPAIR_PARITY)
         })
+    }
+}
+
+/// Refuses what is outside `low` to `high`, and what is not a number.
+fn number(option: &'static str, found: f64, (low, high): (f64, f64)) -> Result<(), EncodeError> {
+    if found >= low && found <= high {
+        return Ok(());
+    }
+    Err(EncodeError::Number { option, found, low, high })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is said of the defaults after `change`.
+    fn said_of(change: impl Fn(&mut EncodeOptions)) -> String {
+        let mut options = EncodeOptions::default();
+        change(&mut options);
+        options.check().unwrap_err().to_string()
+    }
+
+    #[test]
+    fn numbers_out_of_range_are_named() {
+        EncodeOptions::default().check().unwrap();
+        for bad in [f32::NAN, f32::INFINITY, -1.0, 0.0] {
+            let error = said_of(|options| options.quality.sh0 = bad);
+            assert!(error.starts_with(&format!("option quality.sh0 is {bad}; ")), "{error}");
+            let error = said_of(|options| options.quality.motion = bad);
+            assert!(error.starts_with(&format!("option quality.motion is {bad}; ")), "{error}");
+        }
+        for bad in [f64::NAN, f64::INFINITY, -1.0] {
+            let error = said_of(|options| options.cluster.max_variance = bad);
+            assert!(error.starts_with(&format!("option cluster.max_variance is {bad}; ")), "{error}");
+            let error = said_of(|options| options.cluster.weights.speed = bad);
+            assert!(error.starts_with(&format!("option cluster.weights.speed is {bad}; ")), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_target_needs_a_camera() {
+        let views = TargetViews { cameras: Vec::new(), background: [0.0; 3] };
+        let error = said_of(|options| options.target_views = Some(views.clone()));
+        assert_eq!(error, "option target_views.cameras is empty; at least one is needed");
     }
 }

@@ -3,7 +3,7 @@
 use codec_core::internals::{ids::Level, limits, wire::manifest::Profile};
 
 use super::{Analysis, Decisions, EncodeError, EncodeOptions, Encoded, Progress, dgs1, paper};
-use crate::scene::Scene;
+use crate::scene::{Scene, Track};
 
 /// Encodes the scene of `analysis` at the quality of `options`, whatever their target and search.
 pub(super) fn decide_and_write(
@@ -91,12 +91,94 @@ pub fn again(
     write(scene, &Decisions::Dgs1(decided), progress)
 }
 
-/// Refuses a scene beyond the bounds of the format.
+/// What a manifest holds of frame rates, which are frames per 1000 seconds where they are no whole numbers.
+const FRAME_RATE: (f64, f64) = (0.001, 1e6);
+/// Largest magnitude of a coordinate that a manifest holds, scene units.
+const MOST_AWAY: f32 = 1e9;
+
+/// Refuses a scene that is empty or beyond the bounds of the format.
 pub(super) fn check_scene(scene: &Scene) -> Result<(), EncodeError> {
     let within = |what, found: usize, most: usize| {
         if found <= most { Ok(()) } else { Err(EncodeError::Bound { what, found, most }) }
     };
     within("epochs", scene.epochs().len(), limits::MAX_EPOCHS)?;
     within("frames", scene.frames(), limits::MAX_FRAMES as usize)?;
-    within("Gaussians in an epoch", scene.max_count(), limits::MAX_EPOCH_GAUSSIANS as usize)
+    within("Gaussians in an epoch", scene.max_count(), limits::MAX_EPOCH_GAUSSIANS as usize)?;
+    let (found, (low, high)) = (scene.frames_per_second(), FRAME_RATE);
+    if !(low..=high).contains(&found) {
+        return Err(EncodeError::FrameRate { found, low, high });
+    }
+    if scene.max_count() == 0 {
+        return Err(EncodeError::Empty { what: "the scene's list of Gaussians" });
+    }
+    check_positions(scene)
+}
+
+/// Refuses the first Gaussian that is too far away.
+fn check_positions(scene: &Scene) -> Result<(), EncodeError> {
+    let mut first_frame = 0;
+    for (index, epoch) in scene.epochs().iter().enumerate() {
+        let positions = match &epoch.attributes().positions {
+            Track::Constant(positions) | Track::PerFrame(positions) => positions,
+        };
+        let is_far = |position: &[f32; 3]| position.iter().any(|v| v.abs() > MOST_AWAY);
+        if let Some(at) = positions.iter().position(is_far) {
+            return Err(EncodeError::Position {
+                epoch: index,
+                gaussian: at % epoch.count(),
+                frame: first_frame + at / epoch.count(),
+                position: positions[at],
+                most: MOST_AWAY,
+            });
+        }
+        first_frame += epoch.frames();
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Attributes, Epoch,
+        encode::{EncodeOptions, encode, unheard},
+    };
+
+    /// Gaussians at these places, `frames` of them one after the other.
+    fn scene(frames: usize, positions: Vec<[f32; 3]>) -> Scene {
+        let count = positions.len() / frames;
+        let attributes = Attributes {
+            positions: Track::PerFrame(positions),
+            rotations: Track::Constant(vec![[1.0, 0.0, 0.0, 0.0]; count]),
+            log_scales: Track::Constant(vec![[0.0; 3]; count]),
+            opacity_logits: Track::Constant(vec![1.0; count]),
+            sh0: Track::Constant(vec![[0.5; 3]; count]),
+            sh_rest: Vec::new(),
+            sh_degree: codec_core::ShDegree::ZERO,
+        };
+        Scene::new(vec![Epoch::new(frames, attributes).unwrap()], 30.0).unwrap()
+    }
+
+    #[test]
+    fn scenes_that_are_empty_or_too_far_away_are_refused_by_name() {
+        let options = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
+        let said = |scene| encode(&scene, &options, &unheard).unwrap_err().to_string();
+        let error = said(scene(1, Vec::new()));
+        assert_eq!(error, "the scene's list of Gaussians is empty; at least one is needed");
+        let mut positions = vec![[0.0; 3]; 6];
+        positions[5] = [0.0, -2e9, 0.0];
+        let error = said(scene(2, positions));
+        assert!(
+            error.starts_with("Gaussian 2 of epoch 0 is at [0.0, -2000000000.0, 0.0] at frame 1"),
+            "{error}"
+        );
+        assert!(error.contains("-1e9 to 1e9 scene units"), "{error}");
+        for rate in [4e-4, 2e6] {
+            let epochs = scene(1, vec![[0.0; 3]; 3]).epochs().to_vec();
+            let error = said(Scene::new(epochs, rate).unwrap());
+            let words = "0.001 to 1000000 frames per second are allowed";
+            assert_eq!(error, format!("the scene's frame rate is {rate}; {words}"));
+        }
+        encode(&scene(1, vec![[1e9, -1e9, 0.0]; 3]), &options, &unheard).unwrap();
+    }
 }

@@ -17,6 +17,18 @@ pub enum TrainError {
         /// The dataset.
         dataset: String,
     },
+    /// A dataset that no training can finish with.
+    #[error("{dataset}: {field} is {found}; {allowed} is allowed")]
+    Dataset {
+        /// The dataset.
+        dataset: String,
+        /// Which of its fields.
+        field: &'static str,
+        /// What it holds.
+        found: String,
+        /// What it may hold.
+        allowed: String,
+    },
     /// A view that cannot be rendered or compared.
     #[error("{view}: {source}")]
     View {

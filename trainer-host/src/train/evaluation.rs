@@ -2,7 +2,7 @@
 
 use codec_core::Footprint;
 use render_host::{
-    Image, ImageError, RenderError, Renderer, Settings, Splats,
+    Image, ImageError, RenderError, Renderer, Settings, Splats, SplatsError,
     metric::{self, Lpips},
 };
 use serde::Serialize;
@@ -47,6 +47,20 @@ pub enum EvaluationError {
     /// Two images do not fit together.
     #[error(transparent)]
     Image(#[from] ImageError),
+    /// A view that is not there.
+    #[error("view {index} is asked for; the split has {count}")]
+    Index {
+        /// The index, from 0.
+        index: usize,
+        /// Views there are.
+        count: usize,
+    },
+    /// Pictures of no size.
+    #[error("pictures reduced {0} times are asked for; at least 1 is allowed")]
+    Reduced(u32),
+    /// Gaussians whose arrays do not fit together.
+    #[error(transparent)]
+    Splats(#[from] SplatsError),
     /// There is nothing to evaluate on.
     #[error("the split is empty; at least one view is needed")]
     Empty,
@@ -104,7 +118,8 @@ impl Posable for Clip {
 /// Renders `scene` as view `index` sees it, `reduced` times smaller, over `background`.
 ///
 /// # Errors
-/// A size that `reduced` does not divide, or a picture that cannot be rendered.
+/// An index past the end, a size that `reduced` does not divide, `reduced` 0, or a picture that cannot be
+/// rendered.
 pub fn compare<S>(
     scene: &dyn Posable,
     views: &Views<S>,
@@ -112,14 +127,17 @@ pub fn compare<S>(
     reduced: u32,
     background: [f32; 3],
 ) -> Result<Compared, EvaluationError> {
-    let view = views.photographs().get(index).ok_or(EvaluationError::Empty)?;
+    let count = views.photographs().len();
+    let view = views.photographs().get(index).ok_or(EvaluationError::Index { index, count })?;
+    if reduced == 0 {
+        return Err(EvaluationError::Reduced(reduced));
+    }
     let (width, height) = (view.camera.width() / reduced, view.camera.height() / reduced);
     let camera = view.camera.resized(width, height).map_err(|_| ImageError::Size { width, height })?;
     let settings = Settings::over(background).with_footprint(scene.footprint());
     let mut instant = Instant::default();
     scene.pose(view.time, &mut instant);
-    let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)
-        .map_err(|_| EvaluationError::Empty)?;
+    let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
     let rendered = Renderer::new().render(&splats, &camera, &settings)?.image;
     let clamped = rendered.rgb().iter().map(|v| v.clamp(0.0, 1.0)).collect();
     let mut photograph = view.photograph.over(background);

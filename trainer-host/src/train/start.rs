@@ -1,6 +1,6 @@
 //! Makes the Gaussians that training starts with.
 
-use codec_core::{Gaussian, ShDegree};
+use codec_core::{Gaussian, ShDegree, internals::limits};
 use glam::{DMat3, DVec3};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
@@ -9,8 +9,9 @@ use render_host::{Camera, adjoint::loss::photograph::Photograph};
 use serde::{Deserialize, Serialize};
 
 use super::{
+    error::TrainError,
     options::TrainOptions,
-    views::{ColouredPoint, PosedPhotograph, Start},
+    views::{ColouredPoint, Dataset, PosedPhotograph, Start},
 };
 use crate::scene::{Instant, import::nearest::Tree};
 
@@ -79,6 +80,57 @@ impl Extent {
             Self { centre: [0.0; 3], half_side: 1.0 }
         }
     }
+}
+
+/// Refuses what a training could begin with and never finish: a clip without frames or of more than a stream
+/// holds, a start of nothing, of numbers that are none, or of bands that do not fit its Gaussians.
+pub(super) fn check(dataset: &Dataset) -> Result<(), TrainError> {
+    let refused = |field, found: String, allowed: String| {
+        Err(TrainError::Dataset { dataset: dataset.name.clone(), field, found, allowed })
+    };
+    if !(1..=limits::MAX_FRAMES as usize).contains(&dataset.frames) {
+        return refused("frames", dataset.frames.to_string(), format!("1 to {}", limits::MAX_FRAMES));
+    }
+    match &dataset.start {
+        Start::VisualHull => Ok(()),
+        Start::Points(points) if points.is_empty() => {
+            refused("start", "a list of no points".into(), "at least one point".into())
+        }
+        Start::Points(points) => {
+            let is_bad = |p: &ColouredPoint| !p.position.iter().chain(&p.colour).all(|v| v.is_finite());
+            match points.iter().position(is_bad) {
+                Some(at) => refused("start", format!("point {at}, {:?}", points[at]), FINITE.into()),
+                None => Ok(()),
+            }
+        }
+        Start::Gaussians(instant, _) => {
+            let count = instant.gaussians.len();
+            if count == 0 {
+                return refused("start", "a list of no Gaussians".into(), "at least one Gaussian".into());
+            }
+            let (found, needed) = (instant.sh_rest.len(), count * instant.sh_degree.rest_len());
+            if found != needed {
+                let allowed = format!("{needed} of {count} Gaussians of degree {}", instant.sh_degree.get());
+                return refused("start's sh_rest", format!("{found} values"), allowed);
+            }
+            match instant.gaussians.iter().position(|gaussian| !is_finite(gaussian)) {
+                Some(at) => {
+                    refused("start", format!("Gaussian {at}, {:?}", instant.gaussians[at]), FINITE.into())
+                }
+                None if instant.sh_rest.iter().all(|v| v.is_finite()) => Ok(()),
+                None => refused("start's sh_rest", "not finite".into(), FINITE.into()),
+            }
+        }
+    }
+}
+
+/// What the numbers of a start may be.
+const FINITE: &str = "a list of finite numbers";
+
+fn is_finite(gaussian: &Gaussian) -> bool {
+    let Gaussian { position, scale, rotation, opacity, sh0 } = gaussian;
+    let numbers = position.iter().chain(scale).chain(rotation).chain(sh0);
+    numbers.chain([opacity]).all(|v| v.is_finite())
 }
 
 /// The Gaussians to start with, in the cube.

@@ -6,7 +6,7 @@ use codec_core::Footprint;
 
 use super::{dataset::rendered, *};
 use crate::{
-    encode,
+    Instant, encode,
     import::{Limits, synth},
 };
 
@@ -369,6 +369,50 @@ fn options_out_of_range_and_empty_splits_are_refused_by_name() {
     assert!(text.contains("rigidity is NaN"), "{text}");
     dataset.train = Views::new(Vec::new()).unwrap();
     assert!(refused(&dataset, &options()).contains("balls: the training split is empty"));
+}
+
+/// What could be begun with and never be finished is refused before the first step.
+#[test]
+fn datasets_that_no_training_finishes_with_are_refused_by_name() {
+    let good = dataset(synth::SynthKind::Balls, 2, 6);
+    let refused = |dataset: &Dataset| Trainer::new(dataset, &options()).unwrap_err().to_string();
+    for frames in [0, usize::MAX] {
+        let text = refused(&Dataset { frames, ..good.clone() });
+        assert_eq!(text, format!("balls: frames is {frames}; 1 to 1048576 is allowed"));
+    }
+    let point = ColouredPoint { position: [0.0; 3], colour: [0.5; 3] };
+    let nan = ColouredPoint { position: [0.0, f32::NAN, 0.0], ..point };
+    let gaussian = codec_core::Gaussian { scale: [0.1; 3], opacity: 0.5, ..codec_core::Gaussian::ABSENT };
+    let infinite = codec_core::Gaussian { position: [f32::INFINITY, 0.0, 0.0], ..gaussian };
+    let degree = codec_core::ShDegree::new(1).unwrap();
+    let of = |gaussians: Vec<codec_core::Gaussian>, rest: usize| {
+        let instant = Instant { gaussians, sh_rest: vec![0.0; rest], sh_degree: degree };
+        Start::Gaussians(instant, degree)
+    };
+    for (start, words) in [
+        (Start::Points(Vec::new()), "start is a list of no points; at least one point"),
+        (Start::Points(vec![point, nan]), "start is point 1, "),
+        (of(Vec::new(), 0), "start is a list of no Gaussians; at least one Gaussian"),
+        (of(vec![gaussian; 2], 17), "start's sh_rest is 17 values; 18 of 2 Gaussians of degree 1"),
+        (of(vec![gaussian, infinite], 18), "start is Gaussian 1, "),
+    ] {
+        let text = refused(&Dataset { start, ..good.clone() });
+        assert!(text.starts_with("balls: ") && text.contains(words), "{text}");
+    }
+    let start = of(vec![gaussian; 2], 18);
+    assert!(Trainer::new(&Dataset { start, ..good.clone() }, &options()).is_ok());
+}
+
+#[test]
+fn views_that_are_not_there_and_pictures_of_no_size_are_named() {
+    let views = dataset(synth::SynthKind::Balls, 2, 6).test;
+    let clip = Clip { instants: vec![Instant::default()], footprint: Footprint::Pixel };
+    let said = |index, reduced| compare(&clip, &views, index, reduced, [0.0; 3]).unwrap_err().to_string();
+    let count = views.photographs().len();
+    assert_eq!(said(count, 1), format!("view {count} is asked for; the split has {count}"));
+    assert_eq!(said(0, 0), "pictures reduced 0 times are asked for; at least 1 is allowed");
+    assert!(said(0, 1000).contains('0'), "a size of 0 x 0 pixels");
+    assert!(compare(&clip, &views, 0, 2, [0.0; 3]).is_ok());
 }
 
 #[test]

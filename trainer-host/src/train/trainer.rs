@@ -86,9 +86,10 @@ impl<'a> Trainer<'a> {
     /// Prepares to train on `dataset`.
     ///
     /// # Errors
-    /// An option out of range, or an empty training split.
+    /// An option out of range, an empty training split, or a dataset that no training can finish with.
     pub fn new(dataset: &'a Dataset, options: &TrainOptions) -> Result<Self, TrainError> {
         options.validate()?;
+        start::check(dataset)?;
         let mut options = options.clone();
         if dataset.train.instants() < 2 {
             options.nodes = 0;

@@ -128,6 +128,38 @@ fn a_stream_plays_in_a_block_of_the_size_that_it_requires_and_in_none_shorter() 
         let status = dgs_receipt(player, 1, 5, ptr::null(), out, receipt.len(), &mut written, &mut error);
         assert_eq!(status, DGS_OK);
         assert!(codec_core::internals::wire::receipt::Receipt::parse(&receipt[..written], crc32).is_ok());
+        let needed = written;
+        for there in [0, 1, needed - 1] {
+            let status = dgs_receipt(player, 1, 5, ptr::null(), out, there, &mut written, &mut error);
+            assert_eq!((status, field(&error), error.offset), (DGS_CAPACITY, "receipt", 0));
+            assert_eq!((error.found, error.least, error.most), (there as u64, needed as u64, needed as u64));
+        }
+        let pose = DgsPose { position: [0.0, f32::NAN, 0.0], rotation: [1.0, 0.0, 0.0, 0.0] };
+        let status = dgs_receipt(player, 1, 5, &pose, out, receipt.len(), &mut written, &mut error);
+        assert_eq!((status, field(&error)), (DGS_ILLEGAL, "receipt.pose"));
+    }
+}
+
+/// As codec-core does by default.
+#[cfg(feature = "paper-context")]
+#[test]
+fn a_stream_of_the_context_coder_plays() {
+    let file = include_bytes!("../../../tests/conformance/made-paper-context.dgs");
+    let (message, packets) = file::parts(file).unwrap();
+    let mut memory = vec![Line([0; 16]); 1 << 18];
+    let mut error = none();
+    let player = open(&mut memory, &DgsCaps::from(Caps::SMALL)).unwrap();
+    // SAFETY: the player is open and its memory lives; pointers from references and slices.
+    unsafe {
+        assert_eq!(dgs_manifest(player, message.as_ptr(), message.len(), &mut error), DGS_OK, "{error:?}");
+        for packet in packets {
+            let status = dgs_push(player, packet.as_ptr(), packet.len(), ptr::null_mut(), &mut error);
+            assert_eq!(status, DGS_OK, "{error:?}");
+        }
+        let mut shown = mem::zeroed();
+        assert_eq!(dgs_show(player, 0, &mut shown, &mut error), DGS_OK);
+        assert!(shown.gaussians_len > 0);
+        dgs_close(player);
     }
 }
 

@@ -137,7 +137,7 @@ impl Value<'_> {
     ///
     /// # Errors
     /// [`crate::ErrorKind::Capacity`] if `out` is smaller than the receipt,
-    /// [`crate::ErrorKind::Illegal`] if ranges are not ascending.
+    /// [`crate::ErrorKind::Illegal`] if ranges are not ascending or a number of the pose is not finite.
     pub fn write(&self, out: &mut [u8]) -> Result<usize> {
         let (ranges, recovered, completed) = self.fitting();
         let older = self.acknowledged.len().saturating_sub(ranges);
@@ -147,6 +147,7 @@ impl Value<'_> {
         writer.bytes(&self.playout_us.to_le_bytes())?;
         if let Some(pose) = self.pose {
             for value in pose.position.into_iter().chain(pose.rotation) {
+                in_range("receipt.pose", writer.len(), u8::from(value.is_finite()), 1, 1)?;
                 writer.bytes(&value.to_le_bytes())?;
             }
         }
@@ -298,6 +299,27 @@ mod tests {
                 prop_assert!(receipt.acknowledged().all(|range| range.is_ok()));
                 prop_assert!(receipt.recovered().all(|id| id.is_ok()));
                 prop_assert!(receipt.completed().all(|group| group.is_ok()));
+            }
+        }
+    }
+
+    #[test]
+    fn a_pose_that_no_sender_reads_is_not_written() {
+        for at in 0..7 {
+            for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+                let mut pose = ViewerPose { position: [1.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] };
+                let mut numbers = pose.position.iter_mut().chain(&mut pose.rotation);
+                *numbers.nth(at).unwrap() = bad;
+                let value = Value {
+                    sequence: 1,
+                    playout_us: 0,
+                    pose: Some(pose),
+                    acknowledged: &[],
+                    recovered: &[],
+                    completed: &[],
+                };
+                let error = value.write(&mut [0; 100]).unwrap_err();
+                assert_eq!((error.kind, error.field), (crate::ErrorKind::Illegal, "receipt.pose"));
             }
         }
     }

@@ -59,7 +59,7 @@ pub struct Dissimilarity {
 }
 
 impl Dissimilarity {
-    /// The distance from `target`.
+    /// The distance from `target`. From an empty image every picture is refused.
     pub fn new(target: Image) -> Self {
         let (width, height) = (target.width() as usize, target.height() as usize);
         let windows = Windows::new(width.max(1), height.max(1));
@@ -67,7 +67,7 @@ impl Dissimilarity {
             std::array::from_fn(|k| weights.get(weights.len() / 2 + k).map_or(0.0, |&w| w as f32))
         };
         let (along, down) = (halves(&windows.along), halves(&windows.down));
-        let padded = (3 * width).next_multiple_of(MARGIN);
+        let padded = (3 * width.max(1)).next_multiple_of(MARGIN);
         let border = 3 * (windows.along.len() / 2);
         let mut mask = vec![0.0; padded];
         mask[border..][..3 * windows.columns].fill(1.0);
@@ -229,4 +229,19 @@ fn target_moments(target: &Image, windows: &Windows, row: usize) -> (Vec<f64>, V
         out
     };
     (filter(&tall), filter(&tall2))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_target_refuses_every_picture() {
+        let loss = Dissimilarity::new(Image::default());
+        let weight = Parts { mse: 1.0, structure: 1.0 };
+        for image in [Image::default(), Image::filled(4, 4, [0.5; 3]).unwrap()] {
+            let mut gradient = vec![0.0; image.rgb().len()];
+            assert!(loss.sweep(&image, false, weight, &mut gradient).is_err());
+        }
+    }
 }

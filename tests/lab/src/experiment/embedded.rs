@@ -163,7 +163,7 @@ fn c(place: &Place, report: &mut Report<'_>) -> Result<()> {
     Ok(())
 }
 
-/// The C ABI as a WebAssembly module under node.
+/// The C ABI as a WebAssembly module under node: the smallest, without `paper-context`.
 fn wasm(place: &Place, report: &mut Report<'_>, quick: bool) -> Result<()> {
     if !report.has(WASM, &[Tool::Target(WASM), Tool::Program("node")]) {
         return Ok(());
@@ -180,6 +180,9 @@ fn wasm(place: &Place, report: &mut Report<'_>, quick: bool) -> Result<()> {
                 "codec-capi",
                 "--profile",
                 "small",
+                "--no-default-features",
+                "--features",
+                "panic-handler",
                 "--crate-type",
                 "cdylib",
                 "--target",

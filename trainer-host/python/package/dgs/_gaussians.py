@@ -1,5 +1,7 @@
 """Names the arrays of one frame as gsplat does."""
 
+from __future__ import annotations
+
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -8,6 +10,8 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from typing_extensions import disjoint_base
+
+    _Footprint = Literal["dilated", "compensated", "pixel"]
 else:
 
     def disjoint_base(cls):
@@ -41,11 +45,32 @@ class Gaussians(_Arrays):
     from 0 to 1. Every function that takes or gives them has the argument ``activation``, "log" by default.
     """
 
-    footprint: Literal["dilated", "compensated", "pixel"] = "dilated"
-    """How they are widened where they are drawn, as the scene or stream says that they come from; no member of
-    the tuple."""
+    footprint: _Footprint = "dilated"
+    """How they are widened where they are drawn, as the scene or stream says that they come from. It is no member
+    of the tuple: ``dgs.Gaussians(*arrays, footprint=arrays.footprint)`` passes it on."""
 
-    def _replace(self: _G, **arrays: Any) -> _G:
-        replaced = super()._replace(**arrays)
-        replaced.footprint = self.footprint
+    def __new__(
+        cls: type[_G],
+        means: NDArray[np.float32],
+        scales: NDArray[np.float32],
+        quats: NDArray[np.float32],
+        opacities: NDArray[np.float32],
+        sh0: NDArray[np.float32],
+        shN: NDArray[np.float32],
+        *,
+        footprint: _Footprint = "dilated",
+    ) -> _G:
+        made = super().__new__(cls, means, scales, quats, opacities, sh0, shN)
+        made.footprint = footprint
+        return made
+
+    def _asdict(self) -> dict[str, Any]:
+        return {**super()._asdict(), "footprint": self.footprint}
+
+    def _replace(self: _G, **changes: Any) -> _G:
+        footprint = changes.pop("footprint", self.footprint)
+        replaced = super()._replace(**changes)
+        replaced.footprint = footprint
         return replaced
+
+    __replace__ = _replace

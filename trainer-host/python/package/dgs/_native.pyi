@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal, final
+from typing import Any, Literal, Protocol, final, overload, type_check_only
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,25 @@ _Activation = Literal["log", "linear"]
 _Footprint = Literal["dilated", "compensated", "pixel"]
 _Axis = Literal["x", "y", "z", "minus-x", "minus-y", "minus-z"]
 _Path = str | os.PathLike[str]
-_Arrays = Gaussians | Mapping[str, ArrayLike]
+_Vector = Sequence[float] | NDArray[np.floating[Any]] | NDArray[np.integer[Any]]
+_Bytes = bytes | bytearray | memoryview
+
+@type_check_only
+class _HasArrays(Protocol):
+    """An object with arrays for attributes; of ``shN`` and ``footprint`` it may have none."""
+
+    @property
+    def means(self) -> ArrayLike: ...
+    @property
+    def scales(self) -> ArrayLike: ...
+    @property
+    def quats(self) -> ArrayLike: ...
+    @property
+    def opacities(self) -> ArrayLike: ...
+    @property
+    def sh0(self) -> ArrayLike: ...
+
+_Arrays = Gaussians | Mapping[str, Any] | _HasArrays
 
 __all__ = [
     "Camera",
@@ -49,15 +67,15 @@ class Camera:
         """Cameras of viewmats [C, 4, 4] and Ks [C, 3, 3]."""
     @staticmethod
     def look_at(
-        eye: Sequence[float],
-        target: Sequence[float],
-        up: Sequence[float],
+        eye: _Vector,
+        target: _Vector,
+        up: _Vector,
         fov_y: float,
         width: int,
         height: int,
         near: float = 0.01,
     ) -> Camera:
-        """A camera at ``eye`` that looks at ``target``, ``fov_y`` degrees high, ``up`` upwards in the picture."""
+        """A camera at ``eye`` that looks at ``target``, ``fov_y`` degrees high, 0.0001 to 179.9999, ``up`` upwards in the picture."""
     @property
     def viewmat(self) -> NDArray[np.float64]:
         """World to camera, [4, 4]."""
@@ -73,10 +91,16 @@ class Camera:
     @property
     def near(self) -> float:
         """What is nearer than this is not drawn, scene units."""
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __hash__(self) -> int: ...
 
 @final
 class Scene:
-    """Gaussians over frames, with cameras where the source has some."""
+    """Gaussians over frames, with cameras where the source has some.
+
+    It does not change, so that its copies are itself. It is not pickled: save it as .4dgs and load it.
+    """
 
     @staticmethod
     def load(
@@ -100,6 +124,22 @@ class Scene:
 
         Raises FileNotFoundError, DamagedError for what is damaged, ValueError for what is refused.
         """
+    @overload
+    @staticmethod
+    def from_arrays(
+        means: _Arrays,
+        scales: None = None,
+        quats: None = None,
+        opacities: None = None,
+        sh0: None = None,
+        shN: None = None,
+        *,
+        fps: float = 30.0,
+        activation: _Activation = "log",
+        up: _Axis = "minus-y",
+        footprint: _Footprint | None = None,
+    ) -> Scene: ...
+    @overload
     @staticmethod
     def from_arrays(
         means: ArrayLike,
@@ -112,19 +152,24 @@ class Scene:
         fps: float = 30.0,
         activation: _Activation = "log",
         up: _Axis = "minus-y",
-        footprint: _Footprint = "dilated",
+        footprint: _Footprint | None = None,
     ) -> Scene:
         """A scene of arrays under gsplat's names: each [N, ...] for all frames or [T, N, ...].
+
+        Instead of the first array all of them may be given as one :class:`Gaussians`, an object or a mapping.
 
         means [.., N, 3], scales [.., N, 3], quats wxyz [.., N, 4], opacities [.., N], sh0 [.., N, 3] or
         [.., N, 1, 3], shN [N, K, 3] with K 0, 3, 8 or 15. Values are copied, whatever the strides;
         floating-point numbers of other widths are converted to float32, other types are refused.
-        Quaternions are normalised, logarithms of scales are clamped to -20..10, logits to -12..12. ``footprint`` is
-        how the Gaussians were drawn when they were fitted: gsplat's "antialiased" mode is "compensated".
+        Quaternions are normalised, logarithms of scales are clamped to -20..10, logits to -12..12.
+        ``footprint`` is how the Gaussians were drawn when they were fitted, by default that of the
+        :class:`Gaussians`, of other arrays "dilated"; gsplat's "antialiased" mode is "compensated".
         """
     @staticmethod
     def synth(kind: str = "figure", *, gaussians: int = 2000, frames: int = 8, seed: int = 1) -> Scene:
         """A scene of formulas, "balls", "figure", "cloth" or "births", of 1000 Gaussians or more."""
+    def __copy__(self) -> Scene: ...
+    def __deepcopy__(self, _memo: object, /) -> Scene: ...
     def at(self, frame: int, *, activation: _Activation = "log") -> Gaussians:
         """The arrays of a frame, 0 to frames - 1."""
     def save(self, path: _Path, *, frame: int = 0, keep_axes: bool = False) -> None:
@@ -160,7 +205,7 @@ class Scene:
     def bounds(self) -> NDArray[np.float32]:
         """The least and the greatest corner of all centres at all frames, scene units, [2, 3]."""
     def ring(self, count: int, width: int, height: int, *, held_out: bool = True) -> list[Camera]:
-        """Cameras around the scene: held out, or those that the encoder measures from."""
+        """1 to 100000 cameras around the scene: held out, or those that the encoder measures from."""
 
 @final
 class Encoded:
@@ -182,7 +227,7 @@ class Encoded:
 class Stream:
     """The bytes of a stream: a manifest and packets, each of which decodes alone given the manifest."""
 
-    def __new__(cls, source: bytes | _Path) -> Stream:
+    def __new__(cls, source: _Bytes | _Path) -> Stream:
         """Bytes of a .dgs file, or its path. Raises DamagedError if the manifest is unreadable."""
     @property
     def manifest(self) -> bytes:
@@ -212,18 +257,18 @@ class Stream:
 class Player:
     """What has arrived of a stream, decoded frame by frame. May be used from several threads."""
 
-    def __new__(cls, source: Stream | bytes | _Path) -> Player:
+    def __new__(cls, source: Stream | _Bytes | _Path) -> Player:
         """A player all of whose packets have arrived. Raises DamagedError if the manifest is unreadable."""
     @staticmethod
-    def from_manifest(manifest: bytes) -> Player:
+    def from_manifest(manifest: _Bytes) -> Player:
         """A player of the stream of this manifest, none of whose packets have arrived."""
-    def push(self, packet: bytes) -> list[int]:
+    def push(self, packet: _Bytes) -> list[int]:
         """Takes one packet, in any order; gives the ids of the packets that are known by it.
 
         More than one where parity repaired others, none if it has come before. Raises DamagedError if it is
         refused; the player is then as it was.
         """
-    def push_all(self, packets: Sequence[bytes]) -> None:
+    def push_all(self, packets: Sequence[_Bytes]) -> None:
         """Takes many packets, faster; those that are refused are counted, empty ones passed over."""
     def frame(self, frame: int, *, activation: _Activation = "log") -> Gaussians:
         """The arrays of a frame, 0 to frames - 1, as far as it has arrived.
@@ -240,7 +285,8 @@ class Player:
         """frames, fps, packets, gaussians, sh_degree, footprint, up (``"y"``, ``"minus-z"`` and so on)."""
     @property
     def counters(self) -> dict[str, Any]:
-        """Packets so far: media, parity, recovered, refused (by kind)."""
+        """Packets so far: media, parity, early (before the manifest), recovered, repair_failed (recovered, but not
+        what was sent), refused (by kind)."""
     @property
     def damage(self) -> str | None:
         """What was amiss with the bytes, if something was."""
@@ -277,7 +323,7 @@ def render(
     *,
     frame: int = 0,
     activation: _Activation = "log",
-    background: Sequence[float] | None = None,
+    background: _Vector | None = None,
     alpha: bool = False,
     footprint: _Footprint | None = None,
     sh_degree: int = 3,
@@ -299,7 +345,7 @@ def render_backward(
     grad_images: ArrayLike,
     *,
     activation: _Activation = "log",
-    background: Sequence[float] | None = None,
+    background: _Vector | None = None,
     footprint: _Footprint | None = None,
     sh_degree: int = 3,
     alpha_cutoff: float | None = None,
@@ -309,7 +355,9 @@ def render_backward(
     ``grad_images`` is [C, H, W, 3], or [C, H, W, 4] with that of alpha. The result has means, scales, quats,
     opacities, sh0 and shN, each in the shape that came in and in the domain ``activation``, summed over
     cameras, and background [3]. Options are those of :func:`render`. Where a value is clamped (a colour at 0,
-    alpha at 0.99) and across the jumps of the picture (at ``alpha_cutoff``) the gradient is 0.
+    alpha at 0.99) and across the jumps of the picture (at ``alpha_cutoff``) the gradient is 0. In "linear"
+    gradients are taken with opacities in 1e-6 to 1 - 1e-6 and scales of at least 1e-6, so that at the ends of
+    their range they are the one-sided ones.
     """
 
 def convert(

@@ -100,6 +100,32 @@ fn turns_take_each_axis_to_each() {
 }
 
 #[test]
+fn similarities_of_numbers_are_those_of_words_and_are_checked() {
+    let half = 0.5f64.sqrt();
+    let of_numbers = Similarity::new([3.0 * half, 3.0 * half, 0.0, 0.0], 2.0, [1.0, 2.0, 3.0]).unwrap();
+    let of_words: Similarity = "rotate=x:90;scale=2;translate=1,2,3".parse().unwrap();
+    assert!((of_numbers.rotation.matrix() - of_words.rotation.matrix()).norm() < 1e-12);
+    assert_eq!((of_numbers.scale, of_numbers.translation), (of_words.scale, of_words.translation));
+    let unit = [1.0, 0.0, 0.0, 0.0];
+    for (rotation, scale, translation, words) in [
+        ([0.0; 4], 1.0, [0.0; 3], "length of the rotation is 0; "),
+        ([f64::NAN; 4], 1.0, [0.0; 3], "length of the rotation is NaN; "),
+        (unit, 0.0, [0.0; 3], "scale is 0; a finite factor above 0 is allowed"),
+        (unit, -2.0, [0.0; 3], "scale is -2; "),
+        (unit, f64::NAN, [0.0; 3], "scale is NaN; "),
+        (unit, 1.0, [0.0, f64::INFINITY, 0.0], "translation is inf; "),
+    ] {
+        let error = Similarity::new(rotation, scale, translation).unwrap_err().to_string();
+        assert!(error.starts_with(words), "{error}");
+        // Its fields are public: the same is refused where it is used.
+        let by = Similarity { scale, translation, ..Similarity::default() };
+        if by != Similarity::default() {
+            assert_eq!(transform(&scene(), &by).unwrap_err().to_string(), error);
+        }
+    }
+}
+
+#[test]
 fn frames_are_cut_across_epochs() {
     let options =
         synth::SynthOptions { gaussians: 1000, frames: 12, kind: SynthKind::Births, ..Default::default() };

@@ -5,7 +5,7 @@
 
 use std::str::FromStr;
 
-use nalgebra::{DMatrix, Matrix3, Rotation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{DMatrix, Matrix3, Quaternion, Rotation3, Unit, UnitQuaternion, Vector3};
 use render_host::harmonics;
 
 use super::{EditError, edited};
@@ -82,6 +82,50 @@ impl FromStr for Similarity {
 }
 
 impl Similarity {
+    /// A turn by the quaternion `rotation`, wxyz and of any length but zero, about the origin, then a scale
+    /// by `scale`, then a shift by `translation`, scene units.
+    ///
+    /// ```
+    /// use trainer_host::edit::Similarity;
+    ///
+    /// let half = std::f64::consts::FRAC_1_SQRT_2;
+    /// let by = Similarity::new([half, 0.0, 0.0, half], 2.0, [1.0, 0.0, 0.0])?;
+    /// let moved = by.point([1.0, 0.0, 0.0]);
+    /// assert!((moved[0] - 1.0).abs() < 1e-12 && (moved[1] - 2.0).abs() < 1e-12);
+    /// # Ok::<(), trainer_host::edit::EditError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// A quaternion without a direction, a scale that is not above 0, or a number that is not finite.
+    pub fn new(rotation: [f64; 4], scale: f64, translation: [f64; 3]) -> Result<Self, EditError> {
+        let [w, x, y, z] = rotation;
+        let quaternion = Quaternion::new(w, x, y, z);
+        let length = quaternion.norm();
+        if !(length > 1e-12 && length.is_finite()) {
+            let allowed = "a finite length above 1e-12";
+            return Err(EditError::Range { field: "length of the rotation", found: length, allowed });
+        }
+        let rotation = UnitQuaternion::new_normalize(quaternion).to_rotation_matrix();
+        let made = Self { rotation, scale, translation };
+        made.check()?;
+        Ok(made)
+    }
+
+    /// Refuses a scale that is not above 0 and numbers that are not finite.
+    fn check(&self) -> Result<(), EditError> {
+        let finite = |field, found: f64| {
+            let allowed = "a finite number";
+            if found.is_finite() { Ok(()) } else { Err(EditError::Range { field, found, allowed }) }
+        };
+        self.rotation.matrix().iter().try_for_each(|&entry| finite("rotation", entry))?;
+        self.translation.iter().try_for_each(|&shift| finite("translation", shift))?;
+        if !(self.scale > 0.0 && self.scale.is_finite()) {
+            let allowed = "a finite factor above 0";
+            return Err(EditError::Range { field: "scale", found: self.scale, allowed });
+        }
+        Ok(())
+    }
+
     /// This one, and `next` after it.
     #[must_use]
     pub fn then(&self, next: &Self) -> Self {
@@ -118,8 +162,9 @@ pub fn turn_between(from: Up, to: Up) -> Rotation3<f64> {
 /// another place. Which way is up is turned too where it stays along an axis.
 ///
 /// # Errors
-/// Positions that are no longer finite.
+/// A scale that is not above 0, a number of `by` that is not finite, or positions that are no longer.
 pub fn transform(scene: &Scene, by: &Similarity) -> Result<Scene, EditError> {
+    by.check()?;
     let matrix = rounded(by.rotation);
     let turn = UnitQuaternion::from_rotation_matrix(&by.rotation);
     let bands: Vec<DMatrix<f64>> = (1..=3).map(|degree| band_turn(degree, &matrix)).collect();
@@ -136,7 +181,7 @@ pub fn transform(scene: &Scene, by: &Similarity) -> Result<Scene, EditError> {
                 return *q;
             }
             let [w, x, y, z] = q.map(f64::from);
-            let turned = turn.into_inner() * nalgebra::Quaternion::new(w, x, y, z);
+            let turned = turn.into_inner() * Quaternion::new(w, x, y, z);
             [turned.w, turned.i, turned.j, turned.k].map(|v| v as f32)
         };
         let attributes = Attributes {
