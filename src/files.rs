@@ -21,6 +21,11 @@ use trainer_host::import::{SEQUENCE_INDEX, SequenceIndex};
 use self::leftovers::Unfinished;
 pub(crate) use self::leftovers::remove_unfinished;
 
+/// `path` for people and for JSON, which holds no other text than Unicode: what is none is shown as `\u{fffd}`.
+pub(crate) fn shown(path: &Path) -> String {
+    path.display().to_string()
+}
+
 /// Refuses a name that [`write()`] could not write: asked before the work that makes the bytes.
 ///
 /// # Errors

@@ -22,7 +22,7 @@ use self::{
 use crate::{
     args::Compare,
     figures::mean,
-    files::FrameFolder,
+    files::{self, FrameFolder},
     output::VerbOutput,
     pipeline::{self, Frames, Quiet, Showing, Surroundings},
     progress::Progress,
@@ -137,7 +137,7 @@ pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
         "a": args.a, "b": args.b, "cameras": cameras, "background": background, "device": backend.name(),
         "psnr_cap_db": PSNR_CAP_DB, "flip_pixels_per_degree": PIXELS_PER_DEGREE, "summary": summaries,
         "pictures": rows, "gaussians": gaussians, "gaussians_not_compared": why, "notes": notes,
-        "out": args.out, "warnings": warnings,
+        "out": args.out.as_deref().map(files::shown), "warnings": warnings,
     });
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })

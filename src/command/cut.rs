@@ -97,7 +97,7 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
         ranking.map_or("", Ranking::sentence)
     );
     let json = json!({
-        "input": args.input, "out": args.out, "packets": left, "packets_before": there,
+        "input": files::shown(&args.input), "out": files::shown(&args.out), "packets": left, "packets_before": there,
         "bytes": bytes.len(), "bytes_before": before, "ranking": ranking.map(Ranking::name),
         "warnings": warnings,
     });

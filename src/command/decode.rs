@@ -11,6 +11,7 @@ use trainer_host::{scene::Up, stream::decoded};
 use super::convert::format::{FrameRun, SceneOutput};
 use crate::{
     args::Decode,
+    files,
     output::VerbOutput,
     pipeline::{self, Frames, Quiet},
     progress::Progress,
@@ -53,7 +54,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
     let degree = stream.manifest()?.sh_degree();
     let mut frames = Frames::of_stream(received, Level::from_bits(args.level), Up::default());
     let mut json = json!({
-        "file": args.input, "out": args.out, "packets": counters.media,
+        "file": files::shown(&args.input), "out": args.out.as_deref().map(files::shown), "packets": counters.media,
         "recovered": counters.recovered, "frames": frames.count(),
     });
     if args.digest {

@@ -107,7 +107,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         text += &format!("note: {note}\n");
     }
     let mut json = json!({
-        "name": loaded.name, "out": args.out, "file_bytes": bytes.len(), "seconds": seconds,
+        "name": loaded.name, "out": files::shown(&args.out), "file_bytes": bytes.len(), "seconds": seconds,
         "ledger": ledger, "report": report_json(report), "packets": packets, "parts": ledger.parts(),
         "notes": loaded.scene.notes,
         "bits_per_gaussian": ledger.bits_per_gaussian(), "bytes_per_frame": ledger.bytes_per_frame(),
@@ -136,7 +136,8 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
             );
         }
         json["utility"] = json!({
-            "groups": table.groups.len(), "protocol": table.protocol, "levels": audit, "path": path,
+            "groups": table.groups.len(), "protocol": table.protocol, "levels": audit,
+            "path": files::shown(&path),
             "negative_mean": audit.iter().map(|level| level.negative_mean).sum::<usize>(),
         });
     }

@@ -85,7 +85,7 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
     text += &facts.lines();
     let json = json!({
         "stream": facts,
-        "file": args.input, "profile": manifest.profile_name(),
+        "file": files::shown(&args.input), "profile": manifest.profile_name(),
         "manifest_bytes": stream.message().len(), "packets": packets, "parity_packets": parity,
         "missing_packets": missing, "damage": warnings, "manifest": manifest_json(&manifest),
     });

@@ -128,7 +128,7 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
     };
     let text = summary(args, &played.report, quality.as_ref());
     let damaged = !warnings.is_empty();
-    let json = json!({ "report": played.report, "quality": quality, "out": args.out, "warnings": warnings });
+    let json = json!({ "report": played.report, "quality": quality, "out": args.out.as_deref().map(crate::files::shown), "warnings": warnings });
     Ok(VerbOutput { text, json, warnings, damaged })
 }
 

@@ -8,6 +8,7 @@ use trainer_host::viewpoint::Ring;
 
 use crate::{
     args::Render,
+    files,
     output::VerbOutput,
     pictures::{PictureOutput, PictureRun, PictureWriter},
     pipeline::{self, Frames, Quiet, Showing, Surroundings, Viewpoints},
@@ -62,7 +63,7 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
         text += &format!("  note: {note}\n");
     }
     let json = json!({
-        "out": args.out,
+        "out": files::shown(&args.out),
         "images": count,
         "cameras": cameras,
         "up": frames.up().to_string(),

@@ -71,7 +71,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         let count = arrived.iter().filter(|arrived| **arrived).count();
         files::write(out, &stream.with_packets(|id| arrived[id]).to_bytes()?)?;
         text += &format!("what arrived, {count} of {} packets → {}\n", arrived.len(), out.display());
-        json["out"] = json!(out);
+        json["out"] = json!(files::shown(out));
         json["arrived_packets"] = json!(count);
     }
     Ok(VerbOutput { text, json, warnings, damaged })
