@@ -108,10 +108,12 @@ pub struct Man {
 /// What pictures are.
 #[derive(Clone, Debug, Args)]
 pub struct ViewArgs {
-    /// Image width, 1 to 16384 pixels [default: 512, or what a file of cameras says].
+    /// Image width, 1 to 16384 pixels [default: 512; of cameras of a file or of the scene their own, or as
+    /// their shape says by --height].
     #[arg(long, value_parser = whole(1..=MAX_SIDE, "pixels"))]
     pub width: Option<u32>,
-    /// Image height, 1 to 16384 pixels [default: 512, or what a file of cameras says].
+    /// Image height, 1 to 16384 pixels [default: 512; of cameras of a file or of the scene their own, or as
+    /// their shape says by --width].
     #[arg(long, value_parser = whole(1..=MAX_SIDE, "pixels"))]
     pub height: Option<u32>,
     /// Background, 0 to 1 per channel: grey level or r,g,b.

@@ -236,6 +236,11 @@ impl FrameFolder {
         Ok(())
     }
 
+    /// Says of pictures, for people, which cameras they are rendered from.
+    pub(crate) fn name_cameras(&mut self, description: String) {
+        self.index.cameras = Some(description);
+    }
+
     /// Gives the folder its name, and says how many frames it holds.
     ///
     /// # Errors

@@ -150,6 +150,13 @@ impl<'a> PictureWriter<'a> {
         Ok(Self { path, run, sink })
     }
 
+    /// Says in a folder, for people, which cameras its pictures are rendered from.
+    pub fn name_cameras(&mut self, description: &str) {
+        if let Sink::Folder(folder) = &mut self.sink {
+            folder.name_cameras(description.to_owned());
+        }
+    }
+
     /// Adds the next picture; in a folder its file is called `name` and an ending.
     ///
     /// # Errors

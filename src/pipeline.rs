@@ -29,6 +29,7 @@ use trainer_host::{
 
 pub(crate) use self::{
     cache::{reference_photographs, stored_utilities},
+    cameras::RENDER_RING,
     link::{read_delays, read_replay},
 };
 pub use self::{

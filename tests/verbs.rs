@@ -6,6 +6,9 @@
 #[allow(dead_code, reason = "other tests use the rest")]
 mod run;
 
+#[path = "verbs/compared.rs"]
+mod compared;
+
 use std::{fs, path::Path, process::Command};
 
 use run::{dgs, names, ok, stopped};

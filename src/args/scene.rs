@@ -8,6 +8,7 @@ use super::number::{real, whole};
 const FRAMES_PER_SECOND: f64 = 30.0;
 const SAMPLES: usize = 20_000;
 const SEED: u64 = 1;
+const MAX_GAUSSIANS: usize = 5_000_000;
 
 /// A scene and how to read it.
 #[derive(Clone, Debug, Args)]
@@ -41,7 +42,7 @@ pub struct SceneArgs {
     #[arg(long)]
     pub keep_readable: bool,
     /// Most Gaussians to accept from one file.
-    #[arg(long, default_value_t = 5_000_000)]
+    #[arg(long, default_value_t = MAX_GAUSSIANS)]
     pub max_gaussians: usize,
     /// Which way is up: cameras placed around the scene stand upright by it, those that the encoder
     /// chooses on too [default: as usual in the format: -y in PLY, compressed PLY, .splat, SOG and Unity
@@ -55,6 +56,18 @@ pub struct SceneArgs {
 }
 
 impl SceneArgs {
+    /// The options that were given.
+    pub fn typed(&self) -> Vec<&'static str> {
+        let options = [
+            ("--keep-readable", self.keep_readable),
+            ("--max-gaussians", self.max_gaussians != MAX_GAUSSIANS),
+            ("--up", self.up.is_some()),
+            ("--footprint", self.footprint.is_some()),
+        ];
+        let others = options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name);
+        self.scene_only().into_iter().chain(others).collect()
+    }
+
     /// The options that were given and are for scenes alone: a stream has no use for them.
     pub fn scene_only(&self) -> Vec<&'static str> {
         let options = [

@@ -4,19 +4,16 @@ use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
 use render_host::{Backend, Camera, Splats};
 use serde_json::json;
-use trainer_host::viewpoint::Ring;
 
 use crate::{
     args::Render,
     files,
     output::VerbOutput,
     pictures::{PictureOutput, PictureRun, PictureWriter},
-    pipeline::{self, Frames, Quiet, Showing, Surroundings, Viewpoints},
+    pipeline::{self, Frames, Quiet, RENDER_RING, Showing, Surroundings, Viewpoints},
     progress::Progress,
 };
 
-/// Cameras on the ring around a scene without its own.
-const RING: usize = 8;
 /// Width and height of pictures where nothing else says, pixels.
 const SIZE: (u32, u32) = (512, 512);
 
@@ -42,6 +39,7 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     let frames_per_second = args.rate.unwrap_or_else(|| frames.frames_per_second());
     let run = PictureRun { pictures: pictures.len(), frames_per_second, overwrite: args.overwrite };
     let mut writer = PictureWriter::begin(&args.out, output, run)?;
+    writer.name_cameras(&cameras);
     let mut renderer = backend.frames()?;
     let mut counters = None;
     let progress = Progress::new("render", quiet.0);
@@ -84,13 +82,7 @@ fn pictures(args: &Render, frames: &mut Frames, single: bool) -> Result<(Vec<Pic
     let found = pipeline::viewpoints(
         &args.cameras,
         &args.view,
-        &mut Surroundings {
-            own: &own,
-            framing: &mut || frames.framing(),
-            ring: (Ring::HeldOut, RING),
-            size: SIZE,
-            up,
-        },
+        &mut Surroundings { own: &own, framing: &mut || frames.framing(), ring: RENDER_RING, size: SIZE, up },
     )?;
     let count = frames.count();
     let views = &found.views;
@@ -110,9 +102,7 @@ fn pictures(args: &Render, frames: &mut Frames, single: bool) -> Result<(Vec<Pic
             (0..count).map(|frame| Picture { frame, camera: camera.clone(), name: format!("{frame:05}") });
         all.collect()
     };
-    let is_one_of_many = single && args.cameras.camera.is_none() && views.len() > 1;
-    let from = if is_one_of_many { "the first of " } else { "" };
-    Ok((pictures, format!("{from}{}", found.description)))
+    Ok((pictures, if is_list { found.description } else { found.of_first() }))
 }
 
 /// The image of one camera: at the frame typed, else at its own.
