@@ -92,6 +92,11 @@ impl PictureOutput {
         matches!(self, Self::Still(_))
     }
 
+    /// Whether its pictures follow one another in time.
+    pub fn is_moving(self) -> bool {
+        matches!(self, Self::Animation(_) | Self::Video(_))
+    }
+
     /// Refuses an output that could not be written: asked before the work that makes the pictures.
     ///
     /// # Errors

@@ -30,6 +30,7 @@ use trainer_host::{
 pub(crate) use self::{
     cache::{reference_photographs, stored_utilities},
     cameras::RENDER_RING,
+    frames::LeftOut,
     link::{read_delays, read_replay},
 };
 pub use self::{
@@ -124,8 +125,20 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         }
     };
     scene.footprint = args.footprint.map_or(scene.footprint, Into::into);
+    scene.notes.extend(unused_in_format(path, args));
     let name = path.file_name().map_or_else(|| input.to_owned(), |n| n.to_string_lossy().into_owned());
     Ok(Loaded { name, scene, damage })
+}
+
+/// What a person should know who typed options of other formats than that of the scene at `path`.
+fn unused_in_format(path: &Path, args: &SceneArgs) -> Option<String> {
+    // Files are read again only where anything can be unused.
+    if args.scene_only().is_empty() {
+        return None;
+    }
+    let format = import::format_of(path)?;
+    let unused = args.unused_in(format);
+    (!unused.is_empty()).then(|| format!("the scene is read as {format}; not used: {}", unused.join(", ")))
 }
 
 /// The scene in a checkpoint of a training, if the file is one.

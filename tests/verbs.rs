@@ -8,6 +8,8 @@ mod run;
 
 #[path = "verbs/compared.rs"]
 mod compared;
+#[path = "verbs/options.rs"]
+mod options;
 
 use std::{fs, path::Path, process::Command};
 

@@ -6,6 +6,9 @@ use trainer_host::encode::Protection;
 
 use super::number::{coarseness, positive, real, repair_set, whole};
 
+const PICTURES: usize = 16;
+const BLOCK_LEN: usize = 64;
+const PACKET_BYTES: usize = 1150;
 /// Least target PSNR, dB: above 0.
 const MIN_PSNR_DB: f64 = 1e-3;
 
@@ -39,7 +42,7 @@ pub struct CodecArgs {
     pub target_psnr: Option<f64>,
     /// Pictures per epoch that tell how much an error in each Gaussian shows: steps follow (dgs1). 1 to
     /// 1024; 0: the same steps for all.
-    #[arg(long, default_value_t = 16, value_parser = whole::<usize>(0..=1024, "pictures"))]
+    #[arg(long, default_value_t = PICTURES, value_parser = whole::<usize>(0..=1024, "pictures"))]
     pub pictures: usize,
     /// Spend up to this many trial encodings on how attributes share the bits: fewer bytes at the same PSNR
     /// from measuring cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
@@ -48,17 +51,17 @@ pub struct CodecArgs {
     /// Most Gaussians in a cluster: 1 to 32768.
     #[arg(long, default_value_t = 512, value_parser = whole(1..=limits::MAX_CLUSTER_LEN, "Gaussians"))]
     pub cluster_size: usize,
-    /// Gaussians per block, the unit of loss: 1 to 256.
-    #[arg(long, default_value_t = 64, value_parser = whole(1..=limits::MAX_BLOCK_LEN, "Gaussians"))]
+    /// Gaussians per block, the unit of loss: 1 to 256 (dgs1).
+    #[arg(long, default_value_t = BLOCK_LEN, value_parser = whole(1..=limits::MAX_BLOCK_LEN, "Gaussians"))]
     pub block_len: usize,
-    /// Most frames in a motion window, 1 to 64 [default: one second].
+    /// Most frames in a motion window, 1 to 64 (dgs1) [default: one second].
     #[arg(long, value_parser = whole(1..=limits::MAX_WINDOW_FRAMES, "frames"))]
     pub window_frames: Option<usize>,
     /// Most vectors in the shared temporal basis, 0 to 64 [default: 8, in profile paper 4].
     #[arg(long, value_parser = whole(0..=limits::MAX_RANK, "vectors"))]
     pub rank: Option<usize>,
     /// Largest packet, 200 to 1226 bytes, header and CRC included (dgs1).
-    #[arg(long, default_value_t = 1150, value_parser = whole::<usize>(200..=1226, "bytes"))]
+    #[arg(long, default_value_t = PACKET_BYTES, value_parser = whole::<usize>(200..=1226, "bytes"))]
     pub packet_bytes: usize,
     /// Base packets per XOR repair set, 2 to 64; 0 sends no parity.
     #[arg(long, conflicts_with = "repair", value_parser = repair_set)]
@@ -68,6 +71,20 @@ pub struct CodecArgs {
     /// and serve, where it is sent; none elsewhere].
     #[arg(long, value_parser = Protection::parse)]
     pub repair: Option<Protection>,
+}
+
+impl CodecArgs {
+    /// The options that were given and mean nothing to the profile.
+    pub fn unused(&self) -> Vec<&'static str> {
+        let options = [
+            ("--pictures", self.pictures != PICTURES),
+            ("--block-len", self.block_len != BLOCK_LEN),
+            ("--window-frames", self.window_frames.is_some()),
+            ("--packet-bytes", self.packet_bytes != PACKET_BYTES),
+        ];
+        let is_unused = |typed: bool| typed && self.profile != ProfileName::Dgs1;
+        options.into_iter().filter(|(_, typed)| is_unused(*typed)).map(|(name, _)| name).collect()
+    }
 }
 
 /// A named set of format choices.

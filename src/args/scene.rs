@@ -1,7 +1,7 @@
 //! What every verb takes that reads a scene.
 
 use clap::{Args, ValueEnum};
-use trainer_host::import::deformation::DEFAULT_FRAMES;
+use trainer_host::import::{Format, deformation::DEFAULT_FRAMES};
 
 use super::number::{real, whole};
 
@@ -66,6 +66,22 @@ impl SceneArgs {
         ];
         let others = options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name);
         self.scene_only().into_iter().chain(others).collect()
+    }
+
+    /// The options that were given and mean nothing to a file of `format`.
+    pub(crate) fn unused_in(&self, format: Format) -> Vec<&'static str> {
+        let is_mesh = format == Format::Gltf;
+        let options = [
+            ("--samples", self.samples != SAMPLES && !is_mesh),
+            ("--clip", self.clip.is_some() && !is_mesh),
+            ("--seed", self.seed != SEED && !is_mesh),
+            (
+                "--deformation-frames",
+                self.deformation_frames != DEFAULT_FRAMES && format != Format::Deformation,
+            ),
+            ("--identity-stored", self.identity_stored && format != Format::Sequence),
+        ];
+        options.into_iter().filter(|(_, unused)| *unused).map(|(name, _)| name).collect()
     }
 
     /// The options that were given and are for scenes alone: a stream has no use for them.

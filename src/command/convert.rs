@@ -20,7 +20,7 @@ use crate::{
     figures::counted,
     files,
     output::VerbOutput,
-    pipeline::{Frames, Quiet},
+    pipeline::{Frames, LeftOut, Quiet},
     progress::Progress,
 };
 
@@ -89,13 +89,18 @@ fn read(input: &str, args: &SceneArgs, warn: &mut dyn FnMut(String)) -> Result<S
         stream @ Frames::Stream { .. } => stream,
     };
     let mut epochs = Vec::new();
+    let mut left_out = LeftOut::default();
     for frame in 0..frames.count() {
-        epochs.push(decoded::snapshot(&frames.instant(frame)?)?.0);
+        let instant = frames.instant(frame)?;
+        let (epoch, missing) = decoded::snapshot(&instant)?;
+        left_out.add(missing, instant.gaussians.len());
+        epochs.push(epoch);
     }
     let mut scene = decoded::joined(epochs, frames.frames_per_second())?;
     scene.up = frames.up();
     scene.footprint = frames.footprint();
     scene.notes = frames.notes().to_vec();
+    scene.notes.extend(left_out.sentence(&frames));
     Ok(scene)
 }
 

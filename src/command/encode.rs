@@ -46,6 +46,11 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     let mut loaded = pipeline::import(&args.input, &args.scene)?;
     let mut warnings: Vec<String> = loaded.damage.take().into_iter().collect();
     let damaged = !warnings.is_empty();
+    let unused = args.codec.unused();
+    if !unused.is_empty() {
+        let notes = &mut loaded.scene.notes;
+        notes.push(format!("not used, being for --profile dgs1: {}", unused.join(", ")));
+    }
     let device = args.device.into();
     Backend::open(device).context("--device")?;
     let target_views = target_views(args, &loaded.scene)?;

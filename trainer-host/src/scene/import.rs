@@ -157,6 +157,18 @@ pub fn usual_up(format: Format) -> Option<Up> {
     }
 }
 
+/// The format of what [`import`] reads at `path`, where it can be read.
+pub fn format_of(path: &Path) -> Option<Format> {
+    if path.is_dir() {
+        return match field_in(path) {
+            _ if path.join("meta.json").is_file() => Some(Format::Sog),
+            Some(_) => Some(Format::Deformation),
+            None => Some(Format::Sequence),
+        };
+    }
+    Some(sniff(&std::fs::read(path).ok()?, path))
+}
+
 /// The format that `bytes` look like; `path` decides only where content cannot.
 pub fn sniff(bytes: &[u8], path: &Path) -> Format {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
