@@ -117,7 +117,7 @@ pub struct ViewArgs {
     /// their shape says by --width].
     #[arg(long, value_parser = whole(1..=MAX_SIDE, "pixels"))]
     pub height: Option<u32>,
-    /// Background, 0 to 1 per channel: grey level or r,g,b.
+    /// Background, 0 to 1 per channel: grey level, r,g,b or #rrggbb.
     #[arg(long, default_value = "0", value_parser = background)]
     pub background: [f32; 3],
 }
@@ -232,12 +232,12 @@ pub struct Import {
     mut_arg("height", |arg| arg.help("Height of the pictures of --target-psnr, 1 to 16384 pixels [default: \
         256, or what a file of cameras says]")),
     mut_arg("background", |arg| arg.help("Background of the pictures of --target-psnr, 0 to 1 per channel: \
-        grey level or r,g,b")),
+        grey level, r,g,b or #rrggbb")),
 )]
 pub struct Encode {
     /// Scene, as for import.
     pub input: String,
-    /// Stream to write.
+    /// Stream to write; - is standard output.
     #[arg(short, long)]
     pub out: PathBuf,
     /// How to read the scene.
@@ -290,7 +290,7 @@ pub struct Encode {
 /// `dgs inspect`.
 #[derive(Debug, Args)]
 pub struct Inspect {
-    /// A .dgs file.
+    /// A .dgs file; - is standard input.
     pub input: PathBuf,
     /// Also write the whole manifest as JSON: clusters, motion, quantisers, tables, groups, packets.
     #[arg(long, value_name = "FILE")]
@@ -308,7 +308,7 @@ pub struct Inspect {
 /// that are fully transparent, are left out. For what the decoder gives, bit by bit, see --digest.
 #[derive(Debug, Args)]
 pub struct Decode {
-    /// A .dgs file.
+    /// A .dgs file; - is standard input.
     pub input: PathBuf,
     /// A folder for a PLY sequence, or a file as convert writes it for one frame; axes are the stream's.
     #[arg(short, long, required_unless_present = "digest")]
@@ -335,8 +335,7 @@ pub struct Decode {
         transforms_*.json or COLMAP's cameras and images, one after the other [default: no viewer]")),
     mut_arg("width", |arg| arg.help("Width of what the viewer sees, 1 to 16384 pixels")),
     mut_arg("height", |arg| arg.help("Height of what the viewer sees, 1 to 16384 pixels")),
-    mut_arg("background", |arg| arg.help("Background of what the viewer sees, 0 to 1 per channel: grey level \
-        or r,g,b")),
+    mut_arg("background", |arg| arg.help("Background of what the viewer sees, 0 to 1 per channel: grey level, r,g,b or #rrggbb")),
 )]
 pub struct StreamArgs {
     /// A .dgs file or a scene.

@@ -23,17 +23,24 @@ mod view;
 
 use std::process::ExitCode;
 
+use anyhow::anyhow;
 pub use demo::page as demo_page;
 
 use crate::{
     args::{Cli, Verb},
-    output,
+    files,
+    output::{self, StandardOutput},
     pipeline::Quiet,
 };
 
 /// Runs what was typed and prints what it says.
 pub fn run(cli: Cli) -> ExitCode {
     let quiet = Quiet(cli.json);
+    let standard_output = if writes_data(&cli.verb) { StandardOutput::Data } else { StandardOutput::Reports };
+    if cli.json && standard_output == StandardOutput::Data {
+        let error = anyhow!("--json: standard output is what --out writes to; name a file there");
+        return output::finish(Err(error), false, standard_output);
+    }
     // The others have something to finish first.
     if !matches!(cli.verb, Verb::Train(_) | Verb::Serve(_) | Verb::Play(_) | Verb::View(_)) {
         interruption::leave_when_interrupted();
@@ -62,5 +69,17 @@ pub fn run(cli: Cli) -> ExitCode {
             Err(error) => Err(error),
         },
     };
-    output::finish(said, cli.json)
+    output::finish(said, cli.json, standard_output)
+}
+
+/// Whether a picture or a stream is written to standard output.
+fn writes_data(verb: &Verb) -> bool {
+    let out = match verb {
+        Verb::Encode(args) => Some(&args.out),
+        Verb::Cut(args) => Some(&args.out),
+        Verb::Render(args) => Some(&args.out),
+        Verb::Stream(args) => args.out.as_ref(),
+        _ => None,
+    };
+    out.is_some_and(|out| files::is_standard_output(out))
 }

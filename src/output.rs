@@ -57,11 +57,25 @@ fn sentence(error: &anyhow::Error) -> String {
     text
 }
 
+/// What else is on standard output.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StandardOutput {
+    /// Nothing: reports go there.
+    Reports,
+    /// A picture or a stream: reports go to standard error.
+    Data,
+}
+
 /// Prints what a verb says and gives its exit status.
-pub fn finish(said: Result<VerbOutput>, json: bool) -> ExitCode {
+pub fn finish(said: Result<VerbOutput>, json: bool, standard_output: StandardOutput) -> ExitCode {
     let print = |said: VerbOutput| {
         for warning in &said.warnings {
             complain(&format!("warning: {warning}"));
+        }
+        if standard_output == StandardOutput::Data {
+            // Where nobody can be told, nobody is.
+            let _ = io::stderr().write_all(said.text.as_bytes());
+            return Ok(ExitCode::from(if said.damaged { DAMAGED } else { 0 }));
         }
         let text = if json { format!("{}\n", said.json) } else { said.text };
         print(&text)?;
@@ -75,8 +89,16 @@ pub fn finish(said: Result<VerbOutput>, json: bool) -> ExitCode {
 /// # Errors
 /// Any other failure to write, a full disk for example.
 pub fn print(text: &str) -> Result<()> {
+    print_bytes(text.as_bytes())
+}
+
+/// As [`print`], of bytes.
+///
+/// # Errors
+/// As [`print`].
+pub(crate) fn print_bytes(bytes: &[u8]) -> Result<()> {
     let mut out = io::stdout().lock();
-    written(out.write_all(text.as_bytes()).and_then(|()| out.flush()))
+    written(out.write_all(bytes).and_then(|()| out.flush()))
 }
 
 /// What writing to standard output came to, a closed pipe being no error.

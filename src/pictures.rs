@@ -69,6 +69,7 @@ impl PictureOutput {
     fn of_name(path: &Path, codec: Option<VideoCodec>) -> Result<Self> {
         let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         Ok(match ending.as_deref() {
+            None if files::is_standard_output(path) => Self::Still(StillFormat::Png),
             None => Self::Folder,
             // A folder that is there may be called anything.
             Some(_) if path.is_dir() => Self::Folder,
@@ -92,6 +93,15 @@ impl PictureOutput {
         matches!(self, Self::Still(_))
     }
 
+    /// What a person should know of pictures of `width` × `height` pixels whose size it cannot hold.
+    pub fn rounded_up(self, width: u32, height: u32) -> Option<String> {
+        let even = [width, height].map(|side| side.next_multiple_of(2));
+        (matches!(self, Self::Video(_)) && even != [width, height]).then(|| {
+            let [wide, high] = even;
+            format!("videos have even sides: {width} × {height} pixels were rounded up to {wide} × {high}")
+        })
+    }
+
     /// Whether its pictures follow one another in time.
     pub fn is_moving(self) -> bool {
         matches!(self, Self::Animation(_) | Self::Video(_))
@@ -104,6 +114,7 @@ impl PictureOutput {
     pub fn check(self, path: &Path, overwrite: bool) -> Result<()> {
         match self {
             Self::Folder => FrameFolder::create(path, overwrite).map(drop),
+            Self::Still(_) if files::is_standard_output(path) => Ok(()),
             Self::Still(_) => files::check(path),
             Self::Animation(_) => PendingFile::begin(path).map(drop),
             Self::Video(format) => {

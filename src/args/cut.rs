@@ -14,9 +14,9 @@ use super::FrameRange;
 /// it goes is said. Utilities beside the input are copied beside the output, unless others are there.
 #[derive(Debug, Args)]
 pub struct Cut {
-    /// A .dgs file.
+    /// A .dgs file; - is standard input.
     pub input: PathBuf,
-    /// The .dgs file to write.
+    /// The .dgs file to write; - is standard output.
     pub out: PathBuf,
     /// Keep levels up to this, 0 to 3; a packet that brings a lower one too stays.
     #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(u8).range(0..=3))]

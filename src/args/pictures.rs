@@ -10,10 +10,10 @@ use crate::pictures::VideoCodec;
 /// `dgs render`.
 #[derive(Debug, Args)]
 pub struct Render {
-    /// A .dgs file or a scene.
+    /// A .dgs file, of which - is one at standard input, or a scene.
     pub input: String,
-    /// NAME.png, .jpg or .webp for one image; .apng or .gif for an animation; .mp4 or .webm for a video; or a
-    /// folder of PNG. Several images are all frames from one camera, or one per camera of --cameras or
+    /// NAME.png, .jpg or .webp for one image; .apng or .gif for an animation; .mp4 or .webm for a video; - for
+    /// one PNG to standard output; or a folder of PNG. Several images are all frames from one camera, or one per camera of --cameras or
     /// --turntable.
     #[arg(short, long)]
     pub out: PathBuf,
@@ -55,12 +55,13 @@ pub struct Render {
 
 /// `dgs compare`.
 ///
-/// Scenes and streams are rendered from the same cameras, in the coordinates of B. Pictures are compared with
-/// pictures in the order of their names, or with renders from --cameras, by name where names say and else in
-/// order.
+/// Scenes and streams are rendered from the same cameras, in the coordinates of B; of two scenes that have
+/// different directions up, A is turned. Pictures are compared with pictures of the same names, or in the order
+/// of their names where none is the same; or with renders: of the cameras that `dgs render` takes, or those that
+/// are typed, by name where names say and else in order.
 #[derive(Debug, Args)]
 pub struct Compare {
-    /// What is looked at: a scene, a .dgs file, a picture, or a folder of pictures.
+    /// What is looked at: a scene, a .dgs file (- is one at standard input), a picture, or a folder of pictures.
     pub a: String,
     /// What it is compared with: the reference.
     pub b: String,

@@ -108,7 +108,7 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
 
 /// Where utilities are written beside `out`: nowhere beside a device, and never over others.
 fn beside_output(out: &Path, bytes: &[u8], warnings: &mut Vec<String>) -> Option<PathBuf> {
-    if std::fs::metadata(out).is_ok_and(|found| !found.is_file()) {
+    if files::is_standard_output(out) || std::fs::metadata(out).is_ok_and(|found| !found.is_file()) {
         return None;
     }
     let target = utility_path(out);

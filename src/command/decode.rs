@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use codec_core::{
     ErrorKind,
     internals::{digest::Digest, ids::Level},
@@ -21,12 +21,12 @@ use crate::{
 
 /// Runs the verb.
 pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
-    let out =
-        args.out.as_deref().map(|out| Ok::<_, anyhow::Error>((out, SceneOutput::of(out)?))).transpose()?;
+    let out = args
+        .out
+        .as_deref()
+        .map(|out| Ok::<_, anyhow::Error>((out, SceneOutput::of_decoded(out)?)))
+        .transpose()?;
     if let Some((out, output)) = out {
-        if output == SceneOutput::FourDgs {
-            bail!("{}: .4dgs is written by dgs convert", out.display());
-        }
         output.check(out, args.overwrite)?;
         output.only(args.frame)?;
     }

@@ -36,6 +36,9 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     files::check_stream(&args.out, &others)?;
     others.push(&args.out);
     if args.utility {
+        if files::is_standard_output(&args.out) {
+            bail!("--utility: is written beside the stream, and nothing is beside standard output");
+        }
         files::check(&pipeline::utility_path(&args.out))?;
     }
     if let Some(path) = &args.decisions_out {
@@ -59,7 +62,11 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         EncodeOptions { device, target_views, ..pipeline::encode_options(&args.codec, Protection::NONE) };
     let start = Instant::now();
     let mut encoded = match &args.decisions {
-        Some(path) => pipeline::write(&loaded.scene, &read_decisions(path)?, quiet)?,
+        Some(path) => {
+            let decisions = read_decisions(path)?;
+            check_decisions(&decisions, &loaded.scene).with_context(|| path.display().to_string())?;
+            pipeline::write(&loaded.scene, &decisions, quiet)?
+        }
         None => pipeline::encode(&loaded.scene, &options, quiet)?,
     };
     let mut truncated = None;
@@ -207,6 +214,28 @@ fn utilities(
 pub(super) fn read_decisions(path: &Path) -> Result<Decisions> {
     let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
     serde_json::from_slice(&bytes).with_context(|| format!("{}: not a file of decisions", path.display()))
+}
+
+/// Refuses decisions for another scene.
+fn check_decisions(decisions: &Decisions, scene: &Scene) -> Result<()> {
+    let Decisions::Dgs1(decisions) = decisions else { return Ok(()) };
+    let (found, wanted) = (scene.epochs().len(), decisions.epochs.len());
+    if found != wanted {
+        bail!("the scene has {}; the decisions are for {wanted}", counted(found, "epoch"));
+    }
+    for (i, (epoch, decided)) in scene.epochs().iter().zip(&decisions.epochs).enumerate() {
+        let found = epoch.count();
+        let wanted: usize = decided.clusters.iter().map(|cluster| cluster.gaussians.len()).sum();
+        if found != wanted {
+            let of = if scene.epochs().len() > 1 { format!(" in epoch {i}") } else { String::new() };
+            bail!("the scene has {}{of}; the decisions are for {wanted}", counted(found, "Gaussian"));
+        }
+        let wanted: usize = decided.windows.iter().map(|window| window.frames).sum();
+        if wanted > 0 && wanted != epoch.frames() {
+            bail!("the scene has {}; the decisions are for {wanted}", counted(epoch.frames(), "frame"));
+        }
+    }
+    Ok(())
 }
 
 /// How Gaussians were clustered, for people.

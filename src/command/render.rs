@@ -45,7 +45,11 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     let level = Level::from_bits(args.level);
     let mut frames = Frames::open(&args.input, &args.scene, level, &mut |w| warnings.push(w))?;
     let (pictures, cameras) = pictures(args, &mut frames, output.is_still())?;
-    let notes: Vec<String> = frames.notes().iter().cloned().chain(unused(args, &frames, output)).collect();
+    let mut notes: Vec<String> =
+        frames.notes().iter().cloned().chain(unused(args, &frames, output)).collect();
+    notes.extend(
+        pictures.first().and_then(|first| output.rounded_up(first.camera.width(), first.camera.height())),
+    );
     let settings = pipeline::settings(&args.view).with_footprint(frames.footprint());
 
     let frames_per_second = args.rate.unwrap_or_else(|| frames.frames_per_second());
