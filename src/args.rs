@@ -19,6 +19,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use render_host::camera::MAX_SIDE;
 
+pub(crate) use self::pictures::RenderBackground;
 pub use self::{
     camera::CameraArgs,
     codec::{CodecArgs, ProfileName},
@@ -304,8 +305,8 @@ pub struct Inspect {
 ///
 /// PLY and SPZ hold other values than a decoder gives: natural logs of scales (clamped to -20..10), logits
 /// of opacities (clamped to ±12) and quaternions normalised once more, so that PLY differs from the decoded
-/// values in the last bits, and SPZ by its own quantisation. Gaussians of which nothing has arrived, and those
-/// that are fully transparent, are left out. For what the decoder gives, bit by bit, see --digest.
+/// values in the last bits, and SPZ by its own quantisation. Gaussians of which nothing has arrived, and
+/// those that are fully transparent, are left out. For what the decoder gives, bit by bit, see --digest.
 #[derive(Debug, Args)]
 pub struct Decode {
     /// A .dgs file; - is standard input.
@@ -322,8 +323,9 @@ pub struct Decode {
     /// Replace a folder of frames that is there already.
     #[arg(long)]
     pub overwrite: bool,
-    /// Print the digest of all decoded frames, or of that of --frame: 64-bit FNV-1a over the little-endian 32-bit floats of every
-    /// Gaussian (position, scale, quaternion wxyz, opacity, sh0), then the higher bands, frame after frame.
+    /// Print the digest of all decoded frames, or of that of --frame: 64-bit FNV-1a over the little-endian
+    /// 32-bit floats of every Gaussian (position, scale, quaternion wxyz, opacity, sh0), then the higher
+    /// bands, frame after frame.
     #[arg(long)]
     pub digest: bool,
 }
@@ -335,7 +337,8 @@ pub struct Decode {
         transforms_*.json or COLMAP's cameras and images, one after the other [default: no viewer]")),
     mut_arg("width", |arg| arg.help("Width of what the viewer sees, 1 to 16384 pixels")),
     mut_arg("height", |arg| arg.help("Height of what the viewer sees, 1 to 16384 pixels")),
-    mut_arg("background", |arg| arg.help("Background of what the viewer sees, 0 to 1 per channel: grey level, r,g,b or #rrggbb")),
+    mut_arg("background", |arg| arg.help("Background of what the viewer sees, 0 to 1 per channel: grey \
+        level, r,g,b or #rrggbb")),
 )]
 pub struct StreamArgs {
     /// A .dgs file or a scene.

@@ -22,7 +22,8 @@ use self::leftovers::Unfinished;
 pub(crate) use self::leftovers::remove_unfinished;
 use crate::output;
 
-/// `path` for people and for JSON, which holds no other text than Unicode: what is none is shown as `\u{fffd}`.
+/// `path` for people and for JSON, which holds no other text than Unicode: what is none is shown as
+/// `\u{fffd}`.
 pub(crate) fn shown(path: &Path) -> String {
     path.display().to_string()
 }
@@ -49,8 +50,8 @@ pub fn check(path: &Path) -> Result<()> {
     temporary(path).map(drop)
 }
 
-/// As [`check`], for a stream, which may go to standard output: its name ends in `.dgs`, and it is none of `others`, which are read or written
-/// besides.
+/// As [`check`], for a stream, which may go to standard output: its name ends in `.dgs`, and it is none of
+/// `others`, which are read or written besides.
 ///
 /// # Errors
 /// As [`check`]; another ending; a file that is one of `others`.

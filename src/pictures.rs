@@ -42,6 +42,14 @@ pub enum StillFormat {
 }
 
 impl StillFormat {
+    fn encode_transparent(self, path: &Path, over_black: &Image, over_white: &Image) -> Result<Vec<u8>> {
+        Ok(match self {
+            Self::Png => over_black.to_transparent_png(over_white)?,
+            Self::Webp => over_black.to_transparent_webp(over_white)?,
+            Self::Jpeg => bail!("{}: JPEG holds no transparency", path.display()),
+        })
+    }
+
     fn encode(self, picture: &Image) -> Result<Vec<u8>> {
         Ok(match self {
             Self::Png => picture.to_png()?,
@@ -91,6 +99,21 @@ impl PictureOutput {
     /// Whether it is of one picture.
     pub fn is_still(self) -> bool {
         matches!(self, Self::Still(_))
+    }
+
+    /// Refuses what is written to `path` if it cannot hold transparent pictures.
+    ///
+    /// # Errors
+    /// JPEG, GIF and videos.
+    pub fn check_transparent(self, path: &Path) -> Result<()> {
+        match self {
+            Self::Still(StillFormat::Png | StillFormat::Webp) => Ok(()),
+            Self::Animation(AnimationFormat::Apng) | Self::Folder => Ok(()),
+            _ => bail!(
+                "--background transparent: {} cannot be; .png, .webp, .apng and a folder of PNG are allowed",
+                path.display()
+            ),
+        }
     }
 
     /// What a person should know of pictures of `width` × `height` pixels whose size it cannot hold.
@@ -188,6 +211,35 @@ impl<'a> PictureWriter<'a> {
             Sink::Animation(_, animation) => animation.add(picture).with_context(failed),
             Sink::Video(video) => video.add(picture).with_context(failed),
             Sink::Unbegun(_) => Ok(()),
+        }
+    }
+
+    /// As [`PictureWriter::add`], of a picture that may be transparent: all of them, or none. It is
+    /// given as it looks over black and over white.
+    ///
+    /// # Errors
+    /// As [`PictureWriter::add`]; what [`PictureOutput::check_transparent`] refuses.
+    pub fn add_transparent(&mut self, name: &str, over_black: &Image, over_white: &Image) -> Result<()> {
+        let failed = || format!("{}: picture {name}", self.path.display());
+        if let Sink::Unbegun(output) = self.sink {
+            output.check_transparent(self.path)?;
+            let mut pending = PendingFile::begin(self.path)?;
+            let (file, pictures) = (pending.file().try_clone()?, u32::try_from(self.run.pictures)?);
+            let rate = self.run.frames_per_second;
+            let animation = Animation::begin_transparent(file, over_black.size(), pictures, rate)?;
+            self.sink = Sink::Animation(pending, Box::new(animation));
+        }
+        match &mut self.sink {
+            Sink::Still(format) => {
+                files::write(self.path, &format.encode_transparent(self.path, over_black, over_white)?)
+            }
+            Sink::Folder(folder) => {
+                folder.add(format!("{name}.png"), &over_black.to_transparent_png(over_white)?)
+            }
+            Sink::Animation(_, animation) => {
+                animation.add_transparent(over_black, over_white).with_context(failed)
+            }
+            Sink::Video(_) | Sink::Unbegun(_) => bail!("{}: holds no transparency", self.path.display()),
         }
     }
 

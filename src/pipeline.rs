@@ -141,7 +141,7 @@ fn unused_in_format(path: &Path, args: &SceneArgs) -> Option<String> {
     if args.scene_only().is_empty() {
         return None;
     }
-    let format = import::format_of(path)?;
+    let format = import::Format::of(path)?;
     let unused = args.unused_in(format);
     (!unused.is_empty()).then(|| format!("the scene is read as {format}; not used: {}", unused.join(", ")))
 }
@@ -268,7 +268,8 @@ pub(crate) fn stream_of(path: &Path, bytes: &[u8], warn: &mut dyn FnMut(String))
     let format = import::sniff(bytes, path);
     if is_scene && format != import::Format::Unknown {
         bail!(
-            "{}: is a scene ({format}), no stream: dgs import says what it holds, dgs encode makes a stream of it",
+            "{}: is a scene ({format}), no stream: dgs import says what it holds, dgs encode makes a stream \
+             of it",
             path.display()
         );
     }

@@ -3,8 +3,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use render_host::camera::MAX_SIDE;
 
-use super::{CameraArgs, DeviceName, FrameRange, SceneArgs, ViewArgs, number::real};
+use super::{
+    CameraArgs, DeviceName, FrameRange, SceneArgs, ViewArgs,
+    number::{background, real, whole},
+};
 use crate::pictures::VideoCodec;
 
 /// `dgs render`.
@@ -12,9 +16,9 @@ use crate::pictures::VideoCodec;
 pub struct Render {
     /// A .dgs file, of which - is one at standard input, or a scene.
     pub input: String,
-    /// NAME.png, .jpg or .webp for one image; .apng or .gif for an animation; .mp4 or .webm for a video; - for
-    /// one PNG to standard output; or a folder of PNG. Several images are all frames from one camera, or one per camera of --cameras or
-    /// --turntable.
+    /// NAME.png, .jpg or .webp for one image; .apng or .gif for an animation; .mp4 or .webm for a video; -
+    /// for one PNG to standard output; or a folder of PNG. Several images are all frames from one camera, or
+    /// one per camera of --cameras or --turntable.
     #[arg(short, long)]
     pub out: PathBuf,
     /// How a video is coded [default: av1].
@@ -47,21 +51,59 @@ pub struct Render {
     pub device: DeviceName,
     /// What pictures are.
     #[command(flatten)]
-    pub view: ViewArgs,
+    pub view: RenderViewArgs,
     /// How to read a scene.
     #[command(flatten)]
     pub scene: SceneArgs,
 }
 
+/// What rendered pictures are.
+#[derive(Clone, Debug, Args)]
+pub struct RenderViewArgs {
+    /// Image width, 1 to 16384 pixels [default: 512; of cameras of a file or of the scene their own, or as
+    /// their shape says by --height].
+    #[arg(long, value_parser = whole(1..=MAX_SIDE, "pixels"))]
+    pub width: Option<u32>,
+    /// Image height, 1 to 16384 pixels [default: 512; of cameras of a file or of the scene their own, or as
+    /// their shape says by --width].
+    #[arg(long, value_parser = whole(1..=MAX_SIDE, "pixels"))]
+    pub height: Option<u32>,
+    /// Background, 0 to 1 per channel: grey level, r,g,b or #rrggbb; or transparent, in .png, .webp, .apng
+    /// and folders.
+    #[arg(long, default_value = "0", value_parser = background_or_transparent)]
+    pub background: RenderBackground,
+}
+
+impl RenderViewArgs {
+    /// The same for what is opaque: transparent is black.
+    pub fn opaque(&self) -> ViewArgs {
+        let background = match self.background {
+            RenderBackground::Opaque(colour) => colour,
+            RenderBackground::Transparent => [0.0; 3],
+        };
+        ViewArgs { width: self.width, height: self.height, background }
+    }
+}
+
+/// What is behind rendered pictures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RenderBackground {
+    /// A colour, each channel 0 to 1.
+    Opaque([f32; 3]),
+    /// Nothing: pictures are transparent there.
+    Transparent,
+}
+
 /// `dgs compare`.
 ///
 /// Scenes and streams are rendered from the same cameras, in the coordinates of B; of two scenes that have
-/// different directions up, A is turned. Pictures are compared with pictures of the same names, or in the order
-/// of their names where none is the same; or with renders: of the cameras that `dgs render` takes, or those that
-/// are typed, by name where names say and else in order.
+/// different directions up, A is turned. Pictures are compared with pictures of the same names, or in the
+/// order of their names where none is the same; or with renders: of the cameras that `dgs render` takes, or
+/// those that are typed, by name where names say and else in order.
 #[derive(Debug, Args)]
 pub struct Compare {
-    /// What is looked at: a scene, a .dgs file (- is one at standard input), a picture, or a folder of pictures.
+    /// What is looked at: a scene, a .dgs file (- is one at standard input), a picture, or a folder of
+    /// pictures.
     pub a: String,
     /// What it is compared with: the reference.
     pub b: String,
@@ -92,4 +134,12 @@ pub struct Compare {
     /// How to read scenes.
     #[command(flatten)]
     pub scene: SceneArgs,
+}
+
+/// Parses a background of what may be transparent: as [`background`], or `transparent`, which gives none.
+fn background_or_transparent(text: &str) -> Result<RenderBackground, String> {
+    match text.trim() {
+        "transparent" => Ok(RenderBackground::Transparent),
+        _ => background(text).map(RenderBackground::Opaque).map_err(|e| format!("{e}, or transparent")),
+    }
 }

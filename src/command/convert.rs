@@ -75,7 +75,8 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     }
     let bytes = std::fs::metadata(&args.out).ok().filter(std::fs::Metadata::is_file).map(|found| found.len());
     let json = json!({
-        "input": args.input, "out": files::shown(&args.out), "gaussians": scene.max_count(), "frames": scene.frames(),
+        "input": args.input, "out": files::shown(&args.out),
+        "gaussians": scene.max_count(), "frames": scene.frames(),
         "bytes": bytes, "axes": turned, "notes": scene.notes, "warnings": warnings,
     });
     Ok(VerbOutput { text, json, warnings, damaged })

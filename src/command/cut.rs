@@ -98,7 +98,8 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
             &format!("  parity left out: {}, {} bytes\n", counted(without.packets, "packet"), without.bytes);
     }
     let json = json!({
-        "input": files::shown(&args.input), "out": files::shown(&args.out), "packets": left, "packets_before": there,
+        "input": files::shown(&args.input), "out": files::shown(&args.out),
+        "packets": left, "packets_before": there,
         "bytes": bytes.len(), "bytes_before": before, "ranking": ranking.map(Ranking::name),
         "parity_left_out": { "packets": without.packets, "bytes": without.bytes },
         "warnings": warnings,

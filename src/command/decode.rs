@@ -56,7 +56,8 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
     let degree = stream.manifest()?.sh_degree();
     let mut frames = Frames::of_stream(received, Level::from_bits(args.level), Up::default());
     let mut json = json!({
-        "file": files::shown(&args.input), "out": args.out.as_deref().map(files::shown), "packets": counters.media,
+        "file": files::shown(&args.input), "out": args.out.as_deref().map(files::shown),
+        "packets": counters.media,
         "recovered": counters.recovered, "frames": frames.count(),
     });
     let mut notes = Vec::new();

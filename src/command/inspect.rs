@@ -96,7 +96,8 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
         "stream": facts,
         "file": files::shown(&args.input), "profile": manifest.profile_name(),
         "manifest_bytes": stream.message().len(), "packets": packets, "parity_packets": parity,
-        "missing_packets": missing, "bytes_after_end": after, "damage": warnings, "manifest": manifest_json(&manifest),
+        "missing_packets": missing, "bytes_after_end": after, "damage": warnings,
+        "manifest": manifest_json(&manifest),
     });
     if let Some(path) = &args.manifest {
         let document = manifest::document(&stream, &map)?;

@@ -4,11 +4,11 @@ use std::ops::Range;
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
-use render_host::{Backend, Camera, Splats};
+use render_host::{Backend, Camera, Settings, Splats};
 use serde_json::json;
 
 use crate::{
-    args::Render,
+    args::{Render, RenderBackground},
     files,
     output::VerbOutput,
     pictures::{PictureOutput, PictureRun, PictureWriter},
@@ -40,6 +40,10 @@ struct Chosen {
 pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     let output = PictureOutput::of(&args.out, args.video_codec)?;
     output.check(&args.out, args.overwrite)?;
+    let is_transparent = args.view.background == RenderBackground::Transparent;
+    if is_transparent {
+        output.check_transparent(&args.out)?;
+    }
     let backend = Backend::open(args.device.into()).context("--device")?;
     let mut warnings = Vec::new();
     let level = Level::from_bits(args.level);
@@ -50,7 +54,7 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     notes.extend(
         pictures.first().and_then(|first| output.rounded_up(first.camera.width(), first.camera.height())),
     );
-    let settings = pipeline::settings(&args.view).with_footprint(frames.footprint());
+    let settings = pipeline::settings(&args.view.opaque()).with_footprint(frames.footprint());
 
     let frames_per_second = args.rate.unwrap_or_else(|| frames.frames_per_second());
     let run = PictureRun { pictures: pictures.len(), frames_per_second, overwrite: args.overwrite };
@@ -64,8 +68,15 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
         let instant = frames.instant(picture.frame)?;
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
         let rendered = renderer.render(&splats, &picture.camera, &settings)?;
-        writer.add(&picture.name, &rendered.image)?;
         counters = Some(rendered.counters);
+        if !is_transparent {
+            writer.add(&picture.name, &rendered.image)?;
+            continue;
+        }
+        let over_black = rendered.image.clone();
+        let over_white = Settings { background: [1.0; 3], ..settings.clone() };
+        let over_white = &renderer.render(&splats, &picture.camera, &over_white)?.image;
+        writer.add_transparent(&picture.name, &over_black, over_white)?;
     }
     // Of a video, the last pictures are still to be coded.
     progress.stage("finishing", 1.0);
@@ -110,7 +121,7 @@ fn pictures(args: &Render, frames: &mut Frames, single: bool) -> Result<(Vec<Pic
     let up = frames.up();
     let found = pipeline::viewpoints(
         &args.cameras,
-        &args.view,
+        &args.view.opaque(),
         &mut Surroundings { own: &own, framing: &mut || frames.framing(), ring: RENDER_RING, size: SIZE, up },
     )?;
     let count = frames.count();
@@ -144,8 +155,8 @@ fn pictures(args: &Render, frames: &mut Frames, single: bool) -> Result<(Vec<Pic
     Ok((pictures, if is_list { found.description } else { found.of_first() }))
 }
 
-/// The image of one camera: at the frame typed, else at its own; cameras that play along do so over the frames
-/// that are chosen.
+/// The image of one camera: at the frame typed, else at its own; cameras that play along do so over the
+/// frames that are chosen.
 fn picture(args: &Render, found: &Viewpoints, index: usize, chosen: &Chosen) -> Result<Picture> {
     let view = &found.views[index];
     let frame = match args.frame {

@@ -133,8 +133,8 @@ pub fn viewpoints(typed: &CameraArgs, view: &ViewArgs, around: &mut Surroundings
     Ok(found)
 }
 
-/// Width and height that `view` asks for of a camera whose pictures are `own` pixels: where one side is typed,
-/// the other follows, so that nothing is squashed.
+/// Width and height that `view` asks for of a camera whose pictures are `own` pixels: where one side is
+/// typed, the other follows, so that nothing is squashed.
 fn sized(own: (u32, u32), view: &ViewArgs) -> (u32, u32) {
     let along = |side: u32, of: u32, other: u32| {
         let scaled = f64::from(side) * f64::from(other) / f64::from(of.max(1));

@@ -57,12 +57,8 @@ impl LeftOut {
             "Gaussians of which nothing has arrived are"
         };
         let whence = counted(self.frames, "frame");
-        (left_out > 0).then(|| {
-            format!(
-                "{which} left out of {whence}, up to {left_out} of {of}: rows of different frames need not \
-                 be the same Gaussians"
-            )
-        })
+        let doubt = "rows of different frames need not be the same Gaussians";
+        (left_out > 0).then(|| format!("{which} left out of {whence}, up to {left_out} of {of}: {doubt}"))
     }
 }
 

@@ -84,6 +84,32 @@ fn options_that_mean_nothing_are_named() {
     assert!(text.contains("--frame is 99; 0 to 2 are allowed"), "{text}");
 }
 
+/// What is behind the scene is left open, and what is in front of it has the colour that it had.
+#[test]
+fn transparent_pictures_are_laid_over_any_background() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:1000:2";
+    let render = |out: &str, background: &str| {
+        ok(at, &[&["render", scene, "-o", out, "--background", background], &SMALL[..]].concat())
+    };
+    render("open.png", "transparent");
+    render("open.webp", "transparent");
+    render("open.apng", "transparent");
+    render("grey.png", "#808080");
+    for name in ["open.png", "open.webp"] {
+        let said = json(at, &["compare", name, "grey.png", "--background", "#808080"]);
+        let psnr = said["summary"][0]["mean"].as_f64().unwrap();
+        assert!(psnr > 45.0, "{name}: {psnr} dB");
+    }
+    let said = json(at, &["compare", "open.png", "grey.png", "--background", "1"]);
+    assert!(said["summary"][0]["mean"].as_f64().unwrap() < 20.0, "white shows through: {said}");
+    for name in ["x.jpg", "x.gif", "x.mp4"] {
+        let error = stopped(at, &["render", scene, "-o", name, "--background", "transparent"], 1);
+        assert!(error.contains("--background transparent: ") && error.contains(name), "{error}");
+    }
+}
+
 #[test]
 fn frames_are_rendered_as_chosen() {
     let folder = tempfile::tempdir().unwrap();

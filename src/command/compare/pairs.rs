@@ -148,8 +148,8 @@ struct Matched {
     how: &'static str,
 }
 
-/// Which of `views` the pictures of `paths` show: all of them, or what `dgs render` writes of a clip, which is
-/// its frames from the first camera, or one of them.
+/// Which of `views` the pictures of `paths` show: all of them, or what `dgs render` writes of a clip, which
+/// is its frames from the first camera, or one of them.
 fn matched(views: Views, paths: &[PathBuf]) -> Result<Matched> {
     let Views { list, description, of_first, is_clip } = views;
     let found = |list: Vec<Shown>, paths: Vec<PathBuf>, cameras: String, how: &'static str| {

@@ -68,8 +68,8 @@ pub(super) fn order_by_level(stream: &Stream, map: &PacketMap) -> Vec<usize> {
 }
 
 /// Leaves packets out until the file has at most `bytes`. Packets come in `order`, each that still fits and
-/// whose blocks have what they are decoded upon; then parity of repair sets that are whole, as far as it fits.
-/// Whether any packet had to go.
+/// whose blocks have what they are decoded upon; then parity of repair sets that are whole, as far as it
+/// fits. Whether any packet had to go.
 pub(super) fn within(
     stream: &Stream,
     map: &PacketMap,

@@ -172,16 +172,18 @@ pub fn usual_up(format: Format) -> Option<Up> {
     }
 }
 
-/// The format of what [`import`] reads at `path`, where it can be read.
-pub fn format_of(path: &Path) -> Option<Format> {
-    if path.is_dir() {
-        return match field_in(path) {
-            _ if path.join("meta.json").is_file() => Some(Format::Sog),
-            Some(_) => Some(Format::Deformation),
-            None => Some(Format::Sequence),
-        };
+impl Format {
+    /// The format of what [`import`] reads at `path`, where it can be read.
+    pub fn of(path: &Path) -> Option<Self> {
+        if path.is_dir() {
+            return match field_in(path) {
+                _ if path.join("meta.json").is_file() => Some(Self::Sog),
+                Some(_) => Some(Self::Deformation),
+                None => Some(Self::Sequence),
+            };
+        }
+        Some(sniff(&std::fs::read(path).ok()?, path))
     }
-    Some(sniff(&std::fs::read(path).ok()?, path))
 }
 
 /// The format that `bytes` look like; `path` decides only where content cannot.

@@ -92,9 +92,9 @@ impl FileFormat {
             Self::Ply | Self::CompressedPly | Self::Sog | Self::Glb => return 0,
         };
         // Half a step beyond is still the nearest byte.
-        let is_held = |sh0: &f32| (-0.5..=255.5).contains(&(255.0 * unit(*sh0)));
+        let is_within = |sh0: &f32| (-0.5..=255.5).contains(&(255.0 * unit(*sh0)));
         let colours = epoch.attributes().sh0.frame(t, epoch.count());
-        colours.iter().filter(|colour| !colour.iter().all(is_held)).count()
+        colours.iter().filter(|colour| !colour.iter().all(is_within)).count()
     }
 
     /// What it cannot hold of Gaussians of degree `degree` that are drawn with `footprint`, for people.
