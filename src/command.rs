@@ -28,18 +28,18 @@ pub use demo::page as demo_page;
 
 use crate::{
     args::{Cli, Verb},
-    files,
-    output::{self, StandardOutput},
+    files, output,
     pipeline::Quiet,
 };
 
 /// Runs what was typed and prints what it says.
 pub fn run(cli: Cli) -> ExitCode {
     let quiet = Quiet(cli.json);
-    let standard_output = if writes_data(&cli.verb) { StandardOutput::Data } else { StandardOutput::Reports };
-    if cli.json && standard_output == StandardOutput::Data {
-        let error = anyhow!("--json: standard output is what --out writes to; name a file there");
-        return output::finish(Err(error), false, standard_output);
+    let writes_data = writes_data(&cli.verb);
+    if cli.json && writes_data {
+        return output::finish_beside_data(Err(anyhow!(
+            "--json: standard output is what --out writes to; name a file there"
+        )));
     }
     // The others have something to finish first.
     if !matches!(cli.verb, Verb::Train(_) | Verb::Serve(_) | Verb::Play(_) | Verb::View(_)) {
@@ -69,7 +69,7 @@ pub fn run(cli: Cli) -> ExitCode {
             Err(error) => Err(error),
         },
     };
-    output::finish(said, cli.json, standard_output)
+    if writes_data { output::finish_beside_data(said) } else { output::finish(said, cli.json) }
 }
 
 /// Whether a picture or a stream is written to standard output.

@@ -31,6 +31,15 @@ pub struct VerbOutput {
     pub damaged: bool,
 }
 
+impl VerbOutput {
+    /// Prints its warnings.
+    fn complain(&self) {
+        for warning in &self.warnings {
+            complain(&format!("warning: {warning}"));
+        }
+    }
+}
+
 /// What was typed, or the exit status after help, version or a refusal has been printed.
 ///
 /// # Errors
@@ -57,28 +66,23 @@ fn sentence(error: &anyhow::Error) -> String {
     text
 }
 
-/// What else is on standard output.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StandardOutput {
-    /// Nothing: reports go there.
-    Reports,
-    /// A picture or a stream: reports go to standard error.
-    Data,
-}
-
 /// Prints what a verb says and gives its exit status.
-pub fn finish(said: Result<VerbOutput>, json: bool, standard_output: StandardOutput) -> ExitCode {
+pub fn finish(said: Result<VerbOutput>, json: bool) -> ExitCode {
     let print = |said: VerbOutput| {
-        for warning in &said.warnings {
-            complain(&format!("warning: {warning}"));
-        }
-        if standard_output == StandardOutput::Data {
-            // Where nobody can be told, nobody is.
-            let _ = io::stderr().write_all(said.text.as_bytes());
-            return Ok(ExitCode::from(if said.damaged { DAMAGED } else { 0 }));
-        }
+        said.complain();
         let text = if json { format!("{}\n", said.json) } else { said.text };
         print(&text)?;
+        Ok(ExitCode::from(if said.damaged { DAMAGED } else { 0 }))
+    };
+    said.and_then(print).unwrap_or_else(|error| refuse(&error))
+}
+
+/// As [`finish`], where a picture or a stream is on standard output: what a verb says goes to standard error.
+pub(crate) fn finish_beside_data(said: Result<VerbOutput>) -> ExitCode {
+    let print = |said: VerbOutput| {
+        said.complain();
+        // Where nobody can be told, nobody is.
+        let _ = io::stderr().write_all(said.text.as_bytes());
         Ok(ExitCode::from(if said.damaged { DAMAGED } else { 0 }))
     };
     said.and_then(print).unwrap_or_else(|error| refuse(&error))
