@@ -8,6 +8,7 @@ mod device;
 mod frames;
 mod link;
 mod number;
+mod pictures;
 mod scene;
 mod socket;
 mod sweep;
@@ -19,6 +20,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use render_host::camera::MAX_SIDE;
 
+pub(crate) use self::pictures::RenderBackground;
 pub use self::{
     camera::CameraArgs,
     codec::{CodecArgs, ProfileName},
@@ -27,16 +29,16 @@ pub use self::{
     device::DeviceName,
     frames::FrameRange,
     link::{ControllerName, LinkArgs, TransportName},
+    pictures::{Compare, Render},
     scene::{SceneArgs, Up},
     socket::{Play, Serve},
     sweep::{SweepAction, SweepArgs, SweepMerge},
     view::{View, WindowArgs},
 };
 use self::{
-    number::{background, not_negative, real, whole},
+    number::{background, not_negative, whole},
     train::Train,
 };
-use crate::pictures::VideoCodec;
 
 /// Dynamic Gaussian splats that stay renderable when delivery is incomplete: encode, send over a
 /// lossy link, decode what arrived, render, measure.
@@ -110,13 +112,15 @@ pub struct Man {
 /// What pictures are.
 #[derive(Clone, Debug, Args)]
 pub struct ViewArgs {
-    /// Image width, 1 to 16384 pixels [default: 512, or what a file of cameras says].
+    /// Image width, 1 to 16384 pixels [default: 512; of cameras of a file or of the scene their own, or as
+    /// their shape says by --height].
     #[arg(long, value_parser = whole(1..=MAX_SIDE, "pixels"))]
     pub width: Option<u32>,
-    /// Image height, 1 to 16384 pixels [default: 512, or what a file of cameras says].
+    /// Image height, 1 to 16384 pixels [default: 512; of cameras of a file or of the scene their own, or as
+    /// their shape says by --width].
     #[arg(long, value_parser = whole(1..=MAX_SIDE, "pixels"))]
     pub height: Option<u32>,
-    /// Background, 0 to 1 per channel: grey level or r,g,b.
+    /// Background, 0 to 1 per channel: grey level, r,g,b or #rrggbb.
     #[arg(long, default_value = "0", value_parser = background)]
     pub background: [f32; 3],
 }
@@ -177,12 +181,12 @@ pub struct Import {
     mut_arg("height", |arg| arg.help("Height of the pictures of --target-psnr, 1 to 16384 pixels [default: \
         256, or what a file of cameras says]")),
     mut_arg("background", |arg| arg.help("Background of the pictures of --target-psnr, 0 to 1 per channel: \
-        grey level or r,g,b")),
+        grey level, r,g,b or #rrggbb")),
 )]
 pub struct Encode {
     /// Scene, as for import.
     pub input: String,
-    /// Stream to write.
+    /// Stream to write; - is standard output.
     #[arg(short, long)]
     pub out: PathBuf,
     /// How to read the scene.
@@ -235,7 +239,7 @@ pub struct Encode {
 /// `dgs inspect`.
 #[derive(Debug, Args)]
 pub struct Inspect {
-    /// A .dgs file.
+    /// A .dgs file; - is standard input.
     pub input: PathBuf,
     /// Also write the whole manifest as JSON: clusters, motion, quantisers, tables, groups, packets.
     #[arg(long, value_name = "FILE")]
@@ -249,16 +253,16 @@ pub struct Inspect {
 ///
 /// PLY and SPZ hold other values than a decoder gives: natural logs of scales (clamped to -20..10), logits
 /// of opacities (clamped to ±12) and quaternions normalised once more, so that PLY differs from the decoded
-/// values in the last bits, and SPZ by its own quantisation. Gaussians of which nothing has arrived are left
-/// out. For what the decoder gives, bit by bit, see --digest.
+/// values in the last bits, and SPZ by its own quantisation. Gaussians of which nothing has arrived, and
+/// those that are fully transparent, are left out. For what the decoder gives, bit by bit, see --digest.
 #[derive(Debug, Args)]
 pub struct Decode {
-    /// A .dgs file.
+    /// A .dgs file; - is standard input.
     pub input: PathBuf,
     /// A folder for a PLY sequence, or a file as convert writes it for one frame; axes are the stream's.
     #[arg(short, long, required_unless_present = "digest")]
     pub out: Option<PathBuf>,
-    /// The frame for a single file [default: 0].
+    /// The frame for a single file [default: 0], or the only one of --digest [default: all].
     #[arg(long)]
     pub frame: Option<u32>,
     /// Highest level to use, 0 to 3.
@@ -267,92 +271,11 @@ pub struct Decode {
     /// Replace a folder of frames that is there already.
     #[arg(long)]
     pub overwrite: bool,
-    /// Print the digest of all decoded frames: 64-bit FNV-1a over the little-endian 32-bit floats of every
-    /// Gaussian (position, scale, quaternion wxyz, opacity, sh0), then the higher bands, frame after frame.
+    /// Print the digest of all decoded frames, or of that of --frame: 64-bit FNV-1a over the little-endian
+    /// 32-bit floats of every Gaussian (position, scale, quaternion wxyz, opacity, sh0), then the higher
+    /// bands, frame after frame.
     #[arg(long)]
     pub digest: bool,
-}
-
-/// `dgs render`.
-#[derive(Debug, Args)]
-pub struct Render {
-    /// A .dgs file or a scene.
-    pub input: String,
-    /// NAME.png, .jpg or .webp for one image; .apng or .gif for an animation; .mp4 or .webm for a video; or a
-    /// folder of PNG. Several images are all frames from one camera, or one per camera of --cameras or
-    /// --turntable.
-    #[arg(short, long)]
-    pub out: PathBuf,
-    /// How a video is coded [default: av1].
-    #[arg(long, value_enum, value_name = "CODEC")]
-    pub video_codec: Option<VideoCodec>,
-    /// Frames per second of an animation or video, 0.001 to 10000 [default: the scene's].
-    #[arg(
-        long, value_name = "FPS", value_parser = real(0.001..=10_000.0, "frames per second"),
-        allow_negative_numbers = true
-    )]
-    pub rate: Option<f64>,
-    /// The frame of a single image [default: 0, or the time of a camera that has one].
-    #[arg(long)]
-    pub frame: Option<u32>,
-    /// Highest level to use of a stream, 0 to 3.
-    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
-    pub level: u8,
-    /// Where to look from.
-    #[command(flatten)]
-    pub cameras: CameraArgs,
-    /// Replace a folder of images that is there already.
-    #[arg(long)]
-    pub overwrite: bool,
-    /// What renders the images; gpu is in builds with `--features gpu`.
-    #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
-    pub device: DeviceName,
-    /// What pictures are.
-    #[command(flatten)]
-    pub view: ViewArgs,
-    /// How to read a scene.
-    #[command(flatten)]
-    pub scene: SceneArgs,
-}
-
-/// `dgs compare`.
-///
-/// Scenes and streams are rendered from the same cameras, in the coordinates of B. Pictures are compared with
-/// pictures in the order of their names, or with renders from --cameras, by name where names say and else in
-/// order.
-#[derive(Debug, Args)]
-pub struct Compare {
-    /// What is looked at: a scene, a .dgs file, a picture, or a folder of pictures.
-    pub a: String,
-    /// What it is compared with: the reference.
-    pub b: String,
-    /// Write each picture of A, of B and their FLIP error map, side by side, to this folder.
-    #[arg(short, long, value_name = "FOLDER")]
-    pub out: Option<PathBuf>,
-    /// Replace a folder of images that is there already.
-    #[arg(long)]
-    pub overwrite: bool,
-    /// Frames to compare, FIRST..LAST with LAST included, or one of them [default: all].
-    #[arg(long, value_name = "FIRST..LAST")]
-    pub frames: Option<FrameRange>,
-    /// Highest level to use of a stream, 0 to 3.
-    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
-    pub level: u8,
-    /// Weights of LPIPS (AlexNet, safetensors), to measure it too.
-    #[arg(long, value_name = "FILE")]
-    pub lpips: Option<PathBuf>,
-    /// What renders pictures; gpu is in builds with `--features gpu`.
-    #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
-    pub device: DeviceName,
-    /// Where to look from.
-    #[command(flatten)]
-    pub cameras: CameraArgs,
-    /// What pictures are.
-    #[command(flatten)]
-    pub view: ViewArgs,
-    /// How to read scenes.
-    #[command(flatten)]
-    pub scene: SceneArgs,
 }
 
 /// `dgs stream`.
@@ -362,8 +285,8 @@ pub struct Compare {
         transforms_*.json or COLMAP's cameras and images, one after the other [default: no viewer]")),
     mut_arg("width", |arg| arg.help("Width of what the viewer sees, 1 to 16384 pixels")),
     mut_arg("height", |arg| arg.help("Height of what the viewer sees, 1 to 16384 pixels")),
-    mut_arg("background", |arg| arg.help("Background of what the viewer sees, 0 to 1 per channel: grey level \
-        or r,g,b")),
+    mut_arg("background", |arg| arg.help("Background of what the viewer sees, 0 to 1 per channel: grey \
+        level, r,g,b or #rrggbb")),
 )]
 pub struct StreamArgs {
     /// A .dgs file or a scene.

@@ -23,17 +23,24 @@ mod view;
 
 use std::process::ExitCode;
 
+use anyhow::anyhow;
 pub use demo::page as demo_page;
 
 use crate::{
     args::{Cli, Verb},
-    output,
+    files, output,
     pipeline::Quiet,
 };
 
 /// Runs what was typed and prints what it says.
 pub fn run(cli: Cli) -> ExitCode {
     let quiet = Quiet(cli.json);
+    let writes_data = writes_data(&cli.verb);
+    if cli.json && writes_data {
+        return output::finish_beside_data(Err(anyhow!(
+            "--json: standard output is what --out writes to; name a file there"
+        )));
+    }
     // The others have something to finish first.
     if !matches!(cli.verb, Verb::Train(_) | Verb::Serve(_) | Verb::Play(_) | Verb::View(_)) {
         interruption::leave_when_interrupted();
@@ -62,5 +69,17 @@ pub fn run(cli: Cli) -> ExitCode {
             Err(error) => Err(error),
         },
     };
-    output::finish(said, cli.json)
+    if writes_data { output::finish_beside_data(said) } else { output::finish(said, cli.json) }
+}
+
+/// Whether a picture or a stream is written to standard output.
+fn writes_data(verb: &Verb) -> bool {
+    let out = match verb {
+        Verb::Encode(args) => Some(&args.out),
+        Verb::Cut(args) => Some(&args.out),
+        Verb::Render(args) => Some(&args.out),
+        Verb::Stream(args) => args.out.as_ref(),
+        _ => None,
+    };
+    out.is_some_and(|out| files::is_standard_output(out))
 }

@@ -20,12 +20,27 @@ use trainer_host::import::{SEQUENCE_INDEX, SequenceIndex};
 
 use self::leftovers::Unfinished;
 pub(crate) use self::leftovers::remove_unfinished;
+use crate::output;
+
+/// `path` for people and for JSON, which holds no other text than Unicode: what is none is shown as
+/// `\u{fffd}`.
+pub(crate) fn shown(path: &Path) -> String {
+    path.display().to_string()
+}
+
+/// Whether `path` is standard output: `-`, or what the system calls it.
+pub(crate) fn is_standard_output(path: &Path) -> bool {
+    ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"].iter().any(|name| path == Path::new(name))
+}
 
 /// Refuses a name that [`write()`] could not write: asked before the work that makes the bytes.
 ///
 /// # Errors
 /// The name of a folder, or a file in a folder that is not there or cannot be written to.
 pub fn check(path: &Path) -> Result<()> {
+    if path == Path::new("-") {
+        bail!("-: is not written to standard output; name a file (./- is one)");
+    }
     match fs::metadata(path) {
         Ok(found) if found.is_dir() => bail!("{}: is a folder; a file is needed", path.display()),
         // A device or a pipe is written to as it is.
@@ -35,12 +50,15 @@ pub fn check(path: &Path) -> Result<()> {
     temporary(path).map(drop)
 }
 
-/// As [`check`], for a stream: its name ends in `.dgs`, and it is none of `others`, which are read or written
-/// besides.
+/// As [`check`], for a stream, which may go to standard output: its name ends in `.dgs`, and it is none of
+/// `others`, which are read or written besides.
 ///
 /// # Errors
 /// As [`check`]; another ending; a file that is one of `others`.
 pub(crate) fn check_stream(path: &Path, others: &[&Path]) -> Result<()> {
+    if is_standard_output(path) {
+        return Ok(());
+    }
     check(path)?;
     // A device or a pipe is called what it is called.
     let is_device = fs::metadata(path).is_ok_and(|found| !found.is_file());
@@ -57,7 +75,8 @@ pub(crate) fn check_stream(path: &Path, others: &[&Path]) -> Result<()> {
 pub(crate) fn check_apart(path: &Path, others: &[&Path]) -> Result<()> {
     let resolved = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let is_path = |other: &&&Path| fs::canonicalize(other).map_or(**other == path, |other| other == resolved);
-    if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+    // A device or a pipe is what it is called.
+    if fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
         return Ok(());
     }
     match others.iter().find(is_path) {
@@ -71,6 +90,9 @@ pub(crate) fn check_apart(path: &Path, others: &[&Path]) -> Result<()> {
 /// # Errors
 /// What the system says, with the path.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    if is_standard_output(path) {
+        return output::print_bytes(bytes);
+    }
     let failed = || format!("{}: cannot write", path.display());
     if fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
         return fs::write(path, bytes).with_context(failed);
@@ -231,6 +253,11 @@ impl FrameFolder {
         Ok(())
     }
 
+    /// Says of pictures, for people, which cameras they are rendered from.
+    pub(crate) fn name_cameras(&mut self, description: String) {
+        self.index.cameras = Some(description);
+    }
+
     /// Gives the folder its name, and says how many frames it holds.
     ///
     /// # Errors
@@ -278,6 +305,9 @@ impl FrameFolder {
 
 /// Refuses a folder that holds anything, unless it is to be overwritten and holds only its frames.
 fn check_unused(folder: &Path, overwrite: bool) -> Result<()> {
+    if folder == Path::new("-") {
+        bail!("-: standard output is no folder; name one (./- is one)");
+    }
     let entries = match fs::read_dir(folder) {
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(()),
         Err(e) => {

@@ -31,6 +31,15 @@ pub struct VerbOutput {
     pub damaged: bool,
 }
 
+impl VerbOutput {
+    /// Prints its warnings.
+    fn complain(&self) {
+        for warning in &self.warnings {
+            complain(&format!("warning: {warning}"));
+        }
+    }
+}
+
 /// What was typed, or the exit status after help, version or a refusal has been printed.
 ///
 /// # Errors
@@ -60,11 +69,20 @@ fn sentence(error: &anyhow::Error) -> String {
 /// Prints what a verb says and gives its exit status.
 pub fn finish(said: Result<VerbOutput>, json: bool) -> ExitCode {
     let print = |said: VerbOutput| {
-        for warning in &said.warnings {
-            complain(&format!("warning: {warning}"));
-        }
+        said.complain();
         let text = if json { format!("{}\n", said.json) } else { said.text };
         print(&text)?;
+        Ok(ExitCode::from(if said.damaged { DAMAGED } else { 0 }))
+    };
+    said.and_then(print).unwrap_or_else(|error| refuse(&error))
+}
+
+/// As [`finish`], where a picture or a stream is on standard output: what a verb says goes to standard error.
+pub(crate) fn finish_beside_data(said: Result<VerbOutput>) -> ExitCode {
+    let print = |said: VerbOutput| {
+        said.complain();
+        // Where nobody can be told, nobody is.
+        let _ = io::stderr().write_all(said.text.as_bytes());
         Ok(ExitCode::from(if said.damaged { DAMAGED } else { 0 }))
     };
     said.and_then(print).unwrap_or_else(|error| refuse(&error))
@@ -75,8 +93,16 @@ pub fn finish(said: Result<VerbOutput>, json: bool) -> ExitCode {
 /// # Errors
 /// Any other failure to write, a full disk for example.
 pub fn print(text: &str) -> Result<()> {
+    print_bytes(text.as_bytes())
+}
+
+/// As [`print`], of bytes.
+///
+/// # Errors
+/// As [`print`].
+pub(crate) fn print_bytes(bytes: &[u8]) -> Result<()> {
     let mut out = io::stdout().lock();
-    written(out.write_all(text.as_bytes()).and_then(|()| out.flush()))
+    written(out.write_all(bytes).and_then(|()| out.flush()))
 }
 
 /// What writing to standard output came to, a closed pipe being no error.

@@ -42,6 +42,14 @@ pub enum StillFormat {
 }
 
 impl StillFormat {
+    fn encode_transparent(self, path: &Path, over_black: &Image, over_white: &Image) -> Result<Vec<u8>> {
+        Ok(match self {
+            Self::Png => over_black.to_transparent_png(over_white)?,
+            Self::Webp => over_black.to_transparent_webp(over_white)?,
+            Self::Jpeg => bail!("{}: JPEG holds no transparency", path.display()),
+        })
+    }
+
     fn encode(self, picture: &Image) -> Result<Vec<u8>> {
         Ok(match self {
             Self::Png => picture.to_png()?,
@@ -69,6 +77,7 @@ impl PictureOutput {
     fn of_name(path: &Path, codec: Option<VideoCodec>) -> Result<Self> {
         let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         Ok(match ending.as_deref() {
+            None if files::is_standard_output(path) => Self::Still(StillFormat::Png),
             None => Self::Folder,
             // A folder that is there may be called anything.
             Some(_) if path.is_dir() => Self::Folder,
@@ -92,6 +101,35 @@ impl PictureOutput {
         matches!(self, Self::Still(_))
     }
 
+    /// Refuses what is written to `path` if it cannot hold transparent pictures.
+    ///
+    /// # Errors
+    /// JPEG, GIF and videos.
+    pub fn check_transparent(self, path: &Path) -> Result<()> {
+        match self {
+            Self::Still(StillFormat::Png | StillFormat::Webp) => Ok(()),
+            Self::Animation(AnimationFormat::Apng) | Self::Folder => Ok(()),
+            _ => bail!(
+                "--background transparent: {} cannot be; .png, .webp, .apng and a folder of PNG are allowed",
+                path.display()
+            ),
+        }
+    }
+
+    /// What a person should know of pictures of `width` × `height` pixels whose size it cannot hold.
+    pub fn rounded_up(self, width: u32, height: u32) -> Option<String> {
+        let even = [width, height].map(|side| side.next_multiple_of(2));
+        (matches!(self, Self::Video(_)) && even != [width, height]).then(|| {
+            let [wide, high] = even;
+            format!("videos have even sides: {width} × {height} pixels were rounded up to {wide} × {high}")
+        })
+    }
+
+    /// Whether its pictures follow one another in time.
+    pub fn is_moving(self) -> bool {
+        matches!(self, Self::Animation(_) | Self::Video(_))
+    }
+
     /// Refuses an output that could not be written: asked before the work that makes the pictures.
     ///
     /// # Errors
@@ -99,6 +137,7 @@ impl PictureOutput {
     pub fn check(self, path: &Path, overwrite: bool) -> Result<()> {
         match self {
             Self::Folder => FrameFolder::create(path, overwrite).map(drop),
+            Self::Still(_) if files::is_standard_output(path) => Ok(()),
             Self::Still(_) => files::check(path),
             Self::Animation(_) => PendingFile::begin(path).map(drop),
             Self::Video(format) => {
@@ -150,6 +189,13 @@ impl<'a> PictureWriter<'a> {
         Ok(Self { path, run, sink })
     }
 
+    /// Says in a folder, for people, which cameras its pictures are rendered from.
+    pub fn name_cameras(&mut self, description: &str) {
+        if let Sink::Folder(folder) = &mut self.sink {
+            folder.name_cameras(description.to_owned());
+        }
+    }
+
     /// Adds the next picture; in a folder its file is called `name` and an ending.
     ///
     /// # Errors
@@ -165,6 +211,35 @@ impl<'a> PictureWriter<'a> {
             Sink::Animation(_, animation) => animation.add(picture).with_context(failed),
             Sink::Video(video) => video.add(picture).with_context(failed),
             Sink::Unbegun(_) => Ok(()),
+        }
+    }
+
+    /// As [`PictureWriter::add`], of a picture that may be transparent: all of them, or none. It is
+    /// given as it looks over black and over white.
+    ///
+    /// # Errors
+    /// As [`PictureWriter::add`]; what [`PictureOutput::check_transparent`] refuses.
+    pub fn add_transparent(&mut self, name: &str, over_black: &Image, over_white: &Image) -> Result<()> {
+        let failed = || format!("{}: picture {name}", self.path.display());
+        if let Sink::Unbegun(output) = self.sink {
+            output.check_transparent(self.path)?;
+            let mut pending = PendingFile::begin(self.path)?;
+            let (file, pictures) = (pending.file().try_clone()?, u32::try_from(self.run.pictures)?);
+            let rate = self.run.frames_per_second;
+            let animation = Animation::begin_transparent(file, over_black.size(), pictures, rate)?;
+            self.sink = Sink::Animation(pending, Box::new(animation));
+        }
+        match &mut self.sink {
+            Sink::Still(format) => {
+                files::write(self.path, &format.encode_transparent(self.path, over_black, over_white)?)
+            }
+            Sink::Folder(folder) => {
+                folder.add(format!("{name}.png"), &over_black.to_transparent_png(over_white)?)
+            }
+            Sink::Animation(_, animation) => {
+                animation.add_transparent(over_black, over_white).with_context(failed)
+            }
+            Sink::Video(_) | Sink::Unbegun(_) => bail!("{}: holds no transparency", self.path.display()),
         }
     }
 

@@ -7,6 +7,7 @@ mod impair;
 mod limit;
 mod link;
 mod live;
+mod piped;
 mod recording;
 mod sendable;
 mod watching;
@@ -30,9 +31,12 @@ use trainer_host::{
 
 pub(crate) use self::{
     cache::{reference_photographs, stored_utilities},
+    cameras::RENDER_RING,
+    frames::LeftOut,
     impair::impairment,
     limit::Lost,
     link::{impaired_link, rate_words},
+    piped::bytes as input_bytes,
     recording::{read_delays, read_recording},
 };
 pub use self::{
@@ -99,7 +103,10 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         deformation_frames: args.deformation_frames,
     };
     let path = Path::new(input);
-    if !path.exists() {
+    if piped::is_piped(path) && !is_stream(input) {
+        bail!("{input}: is a pipe and no stream; scenes are read from files and folders");
+    }
+    if !piped::is_piped(path) && !path.exists() {
         bail!("{input}: no such file or folder (built-in scenes are named synth:figure and the like)");
     }
     if is_stream(input) {
@@ -128,8 +135,20 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         }
     };
     scene.footprint = args.footprint.map_or(scene.footprint, Into::into);
+    scene.notes.extend(unused_in_format(path, args));
     let name = path.file_name().map_or_else(|| input.to_owned(), |n| n.to_string_lossy().into_owned());
     Ok(Loaded { name, scene, damage })
+}
+
+/// What a person should know who typed options of other formats than that of the scene at `path`.
+fn unused_in_format(path: &Path, args: &SceneArgs) -> Option<String> {
+    // Files are read again only where anything can be unused.
+    if args.scene_only().is_empty() {
+        return None;
+    }
+    let format = import::Format::of(path)?;
+    let unused = args.unused_in(format);
+    (!unused.is_empty()).then(|| format!("the scene is read as {format}; not used: {}", unused.join(", ")))
 }
 
 /// The scene in a checkpoint of a training, if the file is one.
@@ -251,8 +270,24 @@ pub fn truncate(
 /// # Errors
 /// If the file or its manifest cannot be read.
 pub fn read_stream(path: &Path, warn: &mut dyn FnMut(String)) -> Result<Stream> {
-    let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
-    let (stream, damage) = Stream::from_bytes(&bytes).with_context(|| {
+    stream_of(path, &piped::bytes(path)?, warn)
+}
+
+/// As [`read_stream`], of the `bytes` of file `path`.
+///
+/// # Errors
+/// As [`read_stream`].
+pub(crate) fn stream_of(path: &Path, bytes: &[u8], warn: &mut dyn FnMut(String)) -> Result<Stream> {
+    let is_scene = !bytes.starts_with(&codec_core::internals::wire::file::MAGIC);
+    let format = import::sniff(bytes, path);
+    if is_scene && format != import::Format::Unknown {
+        bail!(
+            "{}: is a scene ({format}), no stream: dgs import says what it holds, dgs encode makes a stream \
+             of it",
+            path.display()
+        );
+    }
+    let (stream, damage) = Stream::from_bytes(bytes).with_context(|| {
         format!("{}: no usable .dgs file (dgs encode makes one of a scene)", path.display())
     })?;
     if !damage.is_none() {
@@ -274,6 +309,10 @@ pub fn is_stream(input: &str) -> bool {
     let magic = codec_core::internals::wire::file::MAGIC;
     if Path::new(input).extension().is_some_and(|e| e == "dgs") {
         return true;
+    }
+    if piped::is_piped(Path::new(input)) {
+        // What cannot be read is refused by whoever reads it as a stream.
+        return piped::bytes(Path::new(input)).map_or(true, |bytes| bytes.starts_with(&magic));
     }
     let mut head = [0u8; 4];
     std::fs::File::open(input)

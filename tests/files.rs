@@ -114,6 +114,46 @@ fn a_folder_of_frames_is_whole_or_not_there() {
     assert!(refused(at, &["import", "frames"]).contains("frame_00001.ply"));
 }
 
+/// Names need not be Unicode: what is written is written, and said as far as it can be.
+#[cfg(unix)]
+#[test]
+fn names_that_are_no_text_are_written_and_said() {
+    use std::os::unix::ffi::OsStringExt as _;
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    encode(at, "a.dgs");
+    let scene = "synth:balls:1000:2";
+    let small = ["--width", "16", "--height", "16"];
+    for (i, (args, ending)) in [
+        (vec!["encode", scene, "--pictures", "0", "--out"], ".dgs"),
+        (vec!["cut", "a.dgs", "--levels", "0"], ".dgs"),
+        (vec!["stream", "a.dgs", "--load", "0.1", "--out"], ".dgs"),
+        (vec!["convert", scene, "--frames", "0"], ".ply"),
+        (vec!["decode", "a.dgs", "--out"], ".ply"),
+        (vec!["render", "a.dgs", small[0], small[1], small[2], small[3], "--out"], ".png"),
+        (vec!["compare", "a.dgs", scene, small[0], small[1], small[2], small[3], "--out"], ""),
+        (vec!["man"], ""),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let name = [&[b'0' + i as u8, 0xff][..], ending.as_bytes()].concat();
+        let path = at.join(std::ffi::OsString::from_vec(name));
+        if args[0] == "man" {
+            fs::create_dir(&path).unwrap();
+        }
+        let output = Command::new(DGS).current_dir(at).arg("--json").args(&args).arg(&path).output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && path.exists(), "{args:?}: {error}");
+        let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert!(said.to_string().contains('\u{fffd}'), "{said}");
+        if ending == ".dgs" {
+            let output = Command::new(DGS).arg("--json").arg("inspect").arg(&path).output().unwrap();
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        }
+    }
+}
+
 /// What is under a temporary name is gone with whoever is interrupted; what was there before stays.
 #[cfg(unix)]
 #[test]

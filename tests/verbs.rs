@@ -6,6 +6,13 @@
 #[allow(dead_code, reason = "other tests use the rest")]
 mod run;
 
+#[path = "verbs/compared.rs"]
+mod compared;
+#[path = "verbs/options.rs"]
+mod options;
+#[path = "verbs/piped.rs"]
+mod piped;
+
 use std::{fs, path::Path, process::Command};
 
 use run::{dgs, names, ok, stopped};
@@ -83,6 +90,9 @@ fn videos_are_made_without_any_tool() {
     for (name, mark) in [("a.mp4", &b"av01"[..]), ("a.webm", b"V_AV1")] {
         let output = render(nowhere, name, &[]);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(text.contains("95 × 66 pixels were rounded up to 96 × 66"), "{text}");
+        assert!(text.contains("the first of 8 cameras around the scene"), "{text}");
         holds(name, mark);
     }
     assert_eq!(names(at), ["a.mp4", "a.webm"], "no temporary name is left");

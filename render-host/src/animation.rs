@@ -80,15 +80,12 @@ impl<W: Write> Animation<W> {
         pictures: u32,
         frames_per_second: f64,
     ) -> Result<Self, ImageError> {
-        if pictures == 0 {
-            return Err(ImageError::Empty("the animation"));
-        }
-        if !(0.001..=10_000.0).contains(&frames_per_second) {
-            let (field, found) = ("frames_per_second", frames_per_second.to_string());
-            return Err(ImageError::Range { field, found, allowed: "0.001 to 10000" });
-        }
+        check(pictures, frames_per_second)?;
         let encoder = match format {
-            AnimationFormat::Apng => Encoder::Apng(Box::new(apng(file, size, pictures, frames_per_second)?)),
+            AnimationFormat::Apng => {
+                let colour = png::ColorType::Rgb;
+                Encoder::Apng(Box::new(apng(file, colour, size, pictures, frames_per_second)?))
+            }
             AnimationFormat::Gif => {
                 let side = |side: u32| {
                     let (field, found) = ("side of a GIF", side.to_string());
@@ -104,15 +101,49 @@ impl<W: Write> Animation<W> {
         Ok(Self { encoder, size, left: pictures })
     }
 
+    /// As [`Animation::begin`], an APNG of pictures for [`Animation::add_transparent`].
+    ///
+    /// # Errors
+    /// As [`Animation::begin`].
+    pub fn begin_transparent(
+        file: W,
+        size: (u32, u32),
+        pictures: u32,
+        frames_per_second: f64,
+    ) -> Result<Self, ImageError> {
+        check(pictures, frames_per_second)?;
+        let writer = apng(file, png::ColorType::Rgba, size, pictures, frames_per_second)?;
+        Ok(Self { encoder: Encoder::Apng(Box::new(writer)), size, left: pictures })
+    }
+
+    /// Adds the next picture, which may be transparent: see [`Image::to_rgba8`].
+    ///
+    /// # Errors
+    /// As [`Animation::add`], and an animation that was not begun for such pictures.
+    pub fn add_transparent(&mut self, over_black: &Image, over_white: &Image) -> Result<(), ImageError> {
+        self.count(over_black.size())?;
+        let rgba = over_black.to_rgba8(over_white)?;
+        match &mut self.encoder {
+            Encoder::Apng(writer) => writer.write_image_data(&rgba).map_err(codec),
+            Encoder::Gif { .. } => Err(codec("a GIF holds no transparency here")),
+        }
+    }
+
+    /// Counts the next picture, of `size`.
+    fn count(&mut self, size: (u32, u32)) -> Result<(), ImageError> {
+        if size != self.size {
+            return Err(ImageError::Mismatch { a: size, b: self.size });
+        }
+        self.left = self.left.checked_sub(1).ok_or_else(|| codec("more pictures than were announced"))?;
+        Ok(())
+    }
+
     /// Adds the next picture.
     ///
     /// # Errors
     /// Another size, more pictures than were announced, or what the file says.
     pub fn add(&mut self, picture: &Image) -> Result<(), ImageError> {
-        if picture.size() != self.size {
-            return Err(ImageError::Mismatch { a: picture.size(), b: self.size });
-        }
-        self.left = self.left.checked_sub(1).ok_or_else(|| codec("more pictures than were announced"))?;
+        self.count(picture.size())?;
         let rgb = picture.to_rgb8();
         match &mut self.encoder {
             Encoder::Apng(writer) => writer.write_image_data(&rgb).map_err(codec),
@@ -140,15 +171,28 @@ impl<W: Write> Animation<W> {
     }
 }
 
+/// Refuses an animation of no pictures, or of a rate out of range.
+fn check(pictures: u32, frames_per_second: f64) -> Result<(), ImageError> {
+    if pictures == 0 {
+        return Err(ImageError::Empty("the animation"));
+    }
+    if !(0.001..=10_000.0).contains(&frames_per_second) {
+        let (field, found) = ("frames_per_second", frames_per_second.to_string());
+        return Err(ImageError::Range { field, found, allowed: "0.001 to 10000" });
+    }
+    Ok(())
+}
+
 /// An APNG file whose header is written.
 fn apng<W: Write>(
     file: W,
+    colour: png::ColorType,
     size: (u32, u32),
     pictures: u32,
     frames_per_second: f64,
 ) -> Result<png::Writer<W>, ImageError> {
     let mut encoder = png::Encoder::new(file, size.0, size.1);
-    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_color(colour);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_animated(pictures, 0).map_err(codec)?;
     let (numerator, denominator) = delay(frames_per_second);

@@ -97,14 +97,26 @@ impl Bounds {
 /// # Errors
 /// [`FileError`]: a length that is not `3 · width · height`.
 pub(crate) fn png_of_rgb8(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, FileError> {
+    png_of(width, height, rgb, ColorType::Rgb)
+}
+
+/// As [`png_of_rgb8`], r g b a per pixel.
+///
+/// # Errors
+/// [`FileError`]: a length that is not `4 · width · height`.
+pub(crate) fn png_of_rgba8(width: u32, height: u32, rgba: &[u8]) -> Result<Vec<u8>, FileError> {
+    png_of(width, height, rgba, ColorType::Rgba)
+}
+
+fn png_of(width: u32, height: u32, pixels: &[u8], colour: ColorType) -> Result<Vec<u8>, FileError> {
     let mut out = Vec::new();
     let mut encoder = png::Encoder::new(&mut out, width, height);
-    encoder.set_color(ColorType::Rgb);
+    encoder.set_color(colour);
     encoder.set_depth(BitDepth::Eight);
     encoder.set_compression(png::Compression::Fast);
     encoder.set_filter(png::Filter::Adaptive);
     let mut writer = encoder.write_header().map_err(codec)?;
-    writer.write_image_data(rgb).map_err(codec)?;
+    writer.write_image_data(pixels).map_err(codec)?;
     writer.finish().map_err(codec)?;
     Ok(out)
 }
@@ -131,13 +143,31 @@ pub(crate) fn jpeg_of_rgb8(width: u32, height: u32, rgb: &[u8], quality: u8) -> 
 /// # Errors
 /// [`FileError`]: a length that is not `3 · width · height`, a side above 16384.
 pub(crate) fn webp_of_rgb8(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, FileError> {
+    webp_of(width, height, rgb, image_webp::ColorType::Rgb8, 3)
+}
+
+/// As [`webp_of_rgb8`], r g b a per pixel.
+///
+/// # Errors
+/// [`FileError`]: a length that is not `4 · width · height`, a side above 16384.
+pub(crate) fn webp_of_rgba8(width: u32, height: u32, rgba: &[u8]) -> Result<Vec<u8>, FileError> {
+    webp_of(width, height, rgba, image_webp::ColorType::Rgba8, 4)
+}
+
+fn webp_of(
+    width: u32,
+    height: u32,
+    pixels: &[u8],
+    colour: image_webp::ColorType,
+    channels: u64,
+) -> Result<Vec<u8>, FileError> {
     // The encoder panics on another length.
-    if rgb.len() as u64 != 3 * u64::from(width) * u64::from(height) {
-        return Err(codec(format_args!("{} bytes for {width} x {height} pixels", rgb.len())));
+    if pixels.len() as u64 != channels * u64::from(width) * u64::from(height) {
+        return Err(codec(format_args!("{} bytes for {width} x {height} pixels", pixels.len())));
     }
     let mut out = Vec::new();
     let encoder = image_webp::WebPEncoder::new(&mut out);
-    encoder.encode(rgb, width, height, image_webp::ColorType::Rgb8).map_err(codec)?;
+    encoder.encode(pixels, width, height, colour).map_err(codec)?;
     Ok(out)
 }
 

@@ -42,6 +42,7 @@ pub mod sequence;
 pub mod settings;
 pub mod splats;
 pub mod stage;
+mod transparent;
 
 pub use codec_core::{Footprint, Gaussian, ShDegree};
 

@@ -51,8 +51,25 @@ pub struct CameraArgs {
 impl CameraArgs {
     /// Whether anything is typed.
     pub fn is_typed(&self) -> bool {
+        !self.typed().is_empty()
+    }
+
+    /// The options that are typed.
+    pub fn typed(&self) -> Vec<&'static str> {
         let Self { cameras, camera, eye, target, fov, turntable } = self;
-        let files = cameras.is_some() || camera.is_some();
-        files || eye.is_some() || target.is_some() || fov.is_some() || turntable.is_some()
+        let options = [
+            ("--cameras", cameras.is_some()),
+            ("--camera", camera.is_some()),
+            ("--eye", eye.is_some()),
+            ("--target", target.is_some()),
+            ("--fov", fov.is_some()),
+            ("--turntable", turntable.is_some()),
+        ];
+        options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
+    }
+
+    /// Whether cameras are to be placed: by --eye or --turntable.
+    pub fn is_placed(&self) -> bool {
+        self.eye.is_some() || self.turntable.is_some()
     }
 }

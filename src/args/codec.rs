@@ -55,10 +55,10 @@ pub struct CodecArgs {
         long, default_value_t = CLUSTER_SIZE, value_parser = whole(1..=limits::MAX_CLUSTER_LEN, "Gaussians")
     )]
     pub cluster_size: usize,
-    /// Gaussians per block, the unit of loss: 1 to 256.
+    /// Gaussians per block, the unit of loss: 1 to 256 (dgs1).
     #[arg(long, default_value_t = BLOCK_LEN, value_parser = whole(1..=limits::MAX_BLOCK_LEN, "Gaussians"))]
     pub block_len: usize,
-    /// Most frames in a motion window, 1 to 64 [default: one second].
+    /// Most frames in a motion window, 1 to 64 (dgs1) [default: one second].
     #[arg(long, value_parser = whole(1..=limits::MAX_WINDOW_FRAMES, "frames"))]
     pub window_frames: Option<usize>,
     /// Most vectors in the shared temporal basis, 0 to 64 [default: 8, in profile paper 4].
@@ -97,6 +97,18 @@ impl CodecArgs {
             ("--repair", self.repair.is_some()),
         ];
         options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
+    }
+
+    /// The options that were given and mean nothing to the profile.
+    pub fn unused(&self) -> Vec<&'static str> {
+        let options = [
+            ("--pictures", self.pictures != PICTURES),
+            ("--block-len", self.block_len != BLOCK_LEN),
+            ("--window-frames", self.window_frames.is_some()),
+            ("--packet-bytes", self.packet_bytes != PACKET_BYTES),
+        ];
+        let is_unused = |typed: bool| typed && self.profile != ProfileName::Dgs1;
+        options.into_iter().filter(|(_, typed)| is_unused(*typed)).map(|(name, _)| name).collect()
     }
 }
 

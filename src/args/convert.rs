@@ -9,8 +9,10 @@ use super::{FrameRange, SceneArgs, number::real};
 
 /// `dgs convert`.
 ///
-/// Edits are done in the order of this list. A scene is then turned so that up is where it usually is in the
-/// format written: -y in PLY, compressed PLY, .splat and SOG, y in SPZ, glTF and .4dgs.
+/// Edits are done in one order, however they are typed: --frames, --merge, --crop, --filter, --decimate,
+/// --transform, --sh-degree; where another is wanted, convert twice. A scene is then turned so that up is
+/// where it usually is in the format written: -y in PLY, compressed PLY, .splat and SOG, y in SPZ, glTF and
+/// .4dgs.
 #[derive(Debug, Args)]
 pub struct Convert {
     /// Scene, as for import, or a .dgs file.

@@ -9,14 +9,14 @@ use super::FrameRange;
 /// `dgs cut`.
 ///
 /// Packets are left out, and nothing is decoded or coded again: the manifest still tells of all, and what
-/// reads the file says how many packets are missing. Packets of parity are left out with the first packet
-/// that is, since they repair nothing then. Utilities beside the input are
-/// copied beside the output, unless others are there.
+/// reads the file says how many packets are missing. Parity stays where all packets of
+/// its repair set do, and goes with the first of them that is left out, since it repairs nothing then; what
+/// of it goes is said. Utilities beside the input are copied beside the output, unless others are there.
 #[derive(Debug, Args)]
 pub struct Cut {
-    /// A .dgs file.
+    /// A .dgs file; - is standard input.
     pub input: PathBuf,
-    /// The .dgs file to write.
+    /// The .dgs file to write; - is standard output.
     pub out: PathBuf,
     /// Keep levels up to this, 0 to 3; a packet that brings a lower one too stays.
     #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(u8).range(0..=3))]
@@ -25,7 +25,8 @@ pub struct Cut {
     #[arg(long, value_name = "FIRST..LAST")]
     pub frames: Option<FrameRange>,
     /// Keep at most this many bytes of file: what adds most to the picture per byte, by the utilities beside
-    /// INPUT (`dgs encode --utility` writes them); lower levels first where there are none.
+    /// INPUT (`dgs encode --utility` writes them); lower levels first where there are none. What fits no
+    /// more is passed over for what does, and parity comes last.
     #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u64).range(1..))]
     pub bytes: Option<u64>,
 }

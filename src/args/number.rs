@@ -57,10 +57,18 @@ pub(super) fn repair_set(text: &str) -> Result<u8, String> {
     }
 }
 
-/// Parses a background: a grey level, or r,g,b, each 0 to 1.
+/// Parses a background: a grey level or r,g,b, each 0 to 1, or #rrggbb.
 pub(super) fn background(text: &str) -> Result<[f32; 3], String> {
+    if let Some(digits) = text.trim().strip_prefix('#') {
+        let byte = |at: usize| digits.get(at..at + 2).and_then(|pair| u8::from_str_radix(pair, 16).ok());
+        let bytes = (digits.len() == 6 && !digits.contains('+')).then(|| [byte(0), byte(2), byte(4)]);
+        return match bytes {
+            Some([Some(r), Some(g), Some(b)]) => Ok([r, g, b].map(|channel| f32::from(channel) / 255.0)),
+            _ => Err("# and six digits of base 16 are allowed, such as #8040ff".to_owned()),
+        };
+    }
     let values: Result<Vec<f32>, _> = text.split(',').map(|v| v.trim().parse::<f32>()).collect();
-    let values = values.map_err(|e| format!("{e}; a grey level such as 0.5, or r,g,b is allowed"))?;
+    let values = values.map_err(|e| format!("{e}; a grey level such as 0.5, r,g,b or #rrggbb is allowed"))?;
     let rgb = match values[..] {
         [grey] => [grey; 3],
         [r, g, b] => [r, g, b],
@@ -111,5 +119,9 @@ mod tests {
         assert_eq!((repair_set("0"), repair_set("2"), repair_set("64")), (Ok(0), Ok(2), Ok(64)));
         assert_eq!(background("0.5"), Ok([0.5; 3]));
         assert_eq!(background("0, 0.5,1"), Ok([0.0, 0.5, 1.0]));
+        assert_eq!(background("#ff0033"), Ok([1.0, 0.0, 0.2]));
+        for text in ["#ff003", "#ff00333", "#gg0000", "#+f+f+f", "#ü000é"] {
+            assert!(background(text).unwrap_err().contains("#8040ff"), "{text}");
+        }
     }
 }

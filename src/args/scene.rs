@@ -1,13 +1,14 @@
 //! What every verb takes that reads a scene.
 
 use clap::{Args, ValueEnum};
-use trainer_host::import::deformation::DEFAULT_FRAMES;
+use trainer_host::import::{Format, deformation::DEFAULT_FRAMES};
 
 use super::number::{real, whole};
 
 const FRAMES_PER_SECOND: f64 = 30.0;
 const SAMPLES: usize = 20_000;
 const SEED: u64 = 1;
+const MAX_GAUSSIANS: usize = 5_000_000;
 
 /// A scene and how to read it.
 #[derive(Clone, Debug, Args)]
@@ -38,7 +39,7 @@ pub struct SceneArgs {
     #[arg(long)]
     pub keep_readable: bool,
     /// Most Gaussians to accept from one file.
-    #[arg(long, default_value_t = 5_000_000)]
+    #[arg(long, default_value_t = MAX_GAUSSIANS)]
     pub max_gaussians: usize,
     /// Which way is up: cameras placed around the scene stand upright by it, those that the encoder
     /// chooses on too [default: as usual in the format: -y in PLY, compressed PLY, .splat, SOG and Unity
@@ -61,6 +62,34 @@ impl SceneArgs {
     /// Seed of everything random in the scene.
     pub fn seed(&self) -> u64 {
         self.seed.unwrap_or(SEED)
+    }
+
+    /// The options that were given.
+    pub fn typed(&self) -> Vec<&'static str> {
+        let options = [
+            ("--keep-readable", self.keep_readable),
+            ("--max-gaussians", self.max_gaussians != MAX_GAUSSIANS),
+            ("--up", self.up.is_some()),
+            ("--footprint", self.footprint.is_some()),
+        ];
+        let others = options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name);
+        self.scene_only().into_iter().chain(others).collect()
+    }
+
+    /// The options that were given and mean nothing to a file of `format`.
+    pub(crate) fn unused_in(&self, format: Format) -> Vec<&'static str> {
+        let is_mesh = format == Format::Gltf;
+        let options = [
+            ("--samples", self.samples != SAMPLES && !is_mesh),
+            ("--clip", self.clip.is_some() && !is_mesh),
+            ("--seed", self.seed.is_some() && !is_mesh),
+            (
+                "--deformation-frames",
+                self.deformation_frames != DEFAULT_FRAMES && format != Format::Deformation,
+            ),
+            ("--identity-stored", self.identity_stored && format != Format::Sequence),
+        ];
+        options.into_iter().filter(|(_, unused)| *unused).map(|(name, _)| name).collect()
     }
 
     /// The options that were given and are for scenes alone: a stream has no use for them.

@@ -58,8 +58,8 @@ pub struct Train {
     /// by a few pixels where that does not divide them [default: 800].
     #[arg(long, value_parser = whole::<u32>(16..=16_384, "pixels"))]
     pub max_side: Option<u32>,
-    /// Background that figures are for, 0 to 1 per channel: grey level or r,g,b [default: 1; of --delivery on
-    /// a scene 0].
+    /// Background that figures are for, 0 to 1 per channel: grey level, r,g,b or #rrggbb [default: 1; of
+    /// --delivery on a scene 0].
     #[arg(long, value_parser = background)]
     pub background: Option<[f32; 3]>,
     /// Time whose Gaussians are stored and others moved from, 0 to 1 [default: 0.5].

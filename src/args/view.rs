@@ -56,7 +56,7 @@ pub struct WindowArgs {
         long, default_value_t = 720, value_parser = whole::<u32>(1..=MAX_SIDE, "pixels"), requires = "native"
     )]
     pub height: u32,
-    /// Background of the window or the screenshot, 0 to 1 per channel: grey level or r,g,b.
+    /// Background of the window or the screenshot, 0 to 1 per channel: grey level, r,g,b or #rrggbb.
     #[arg(long, default_value = "0", value_parser = background, requires = "native")]
     pub background: [f32; 3],
     /// With --window or --screenshot: highest level shown, 0 to 3.

@@ -1,55 +1,37 @@
 //! Compares two scenes, streams or sets of pictures, by pictures and by Gaussians: `dgs compare`.
 
 mod attributes;
+mod pairs;
 mod side;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
 use render_host::{
-    Backend, Camera, FrameRenderer, Image, Settings, Splats,
+    Backend, FrameRenderer, Image, Settings, Splats,
     metric::{self, Lpips, flip::PIXELS_PER_DEGREE},
 };
 use serde::Serialize;
 use serde_json::json;
-use trainer_host::{evaluator::PSNR_CAP_DB, viewpoint::Ring};
+use trainer_host::evaluator::PSNR_CAP_DB;
 
 use self::{
     attributes::{AttributeDifferences, differences},
+    pairs::{Chosen, Pair, Source, frame_of},
     side::Side,
 };
 use crate::{
     args::Compare,
-    figures::mean,
-    files::FrameFolder,
+    figures::{counted, mean},
+    files::{self, FrameFolder},
     output::VerbOutput,
-    pipeline::{self, Frames, Quiet, Showing, Surroundings},
+    pipeline::{self, Frames, Quiet},
     progress::Progress,
 };
 
-/// Cameras around scenes without their own.
-const CAMERAS: usize = 3;
-/// Width and height of pictures where nothing else says, pixels.
-const SIZE: (u32, u32) = (512, 512);
 /// Lines of pictures that are printed; `--json` has them all.
 const LINES: usize = 20;
-
-/// What is compared with what, once.
-struct Pair {
-    /// File name of the heat map, without its ending.
-    name: String,
-    frame: u32,
-    camera: usize,
-    a: Source,
-    b: Source,
-}
-
-/// Where one picture of a pair comes from.
-enum Source {
-    File(PathBuf),
-    Render(Box<Camera>),
-}
 
 /// How far picture A is from picture B.
 #[derive(Clone, Debug, Serialize)]
@@ -87,7 +69,8 @@ pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     let mut open = |input: &str| Side::open(input, &args.scene, level, &mut |w| warnings.push(w));
     let (mut a, mut b) = (open(&args.a)?, open(&args.b)?);
-    let (pairs, cameras) = pairs(args, &mut a, &mut b)?;
+    let turned = side::turned_alike(args, &mut a, &b)?;
+    let Chosen { pairs, cameras, notes: doubts } = pairs::choose(args, &mut a, &mut b)?;
     let settings = pipeline::settings(&args.view);
 
     let mut folder = args.out.as_deref().map(|out| FrameFolder::create(out, args.overwrite)).transpose()?;
@@ -113,12 +96,12 @@ pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
     let gaussians = gaussians(&mut a, &mut b, &pairs)?;
     let summaries = summaries(&rows);
     let background = args.view.background;
-    let notes: Vec<&String> = [&a, &b].into_iter().flat_map(notes).collect();
+    let notes: Vec<&String> = [&a, &b].into_iter().flat_map(notes).chain(&turned).chain(&doubts).collect();
     let mut text = format!(
-        "{} against {}: {} pictures, {cameras}, background {background:?}\n",
+        "{} against {}: {}, {cameras}, background {background:?}\n",
         args.a,
         args.b,
-        rows.len()
+        counted(rows.len(), "picture")
     );
     text += &table(&rows, &summaries);
     text += &attribute_lines(&gaussians);
@@ -137,7 +120,7 @@ pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
         "a": args.a, "b": args.b, "cameras": cameras, "background": background, "device": backend.name(),
         "psnr_cap_db": PSNR_CAP_DB, "flip_pixels_per_degree": PIXELS_PER_DEGREE, "summary": summaries,
         "pictures": rows, "gaussians": gaussians, "gaussians_not_compared": why, "notes": notes,
-        "out": args.out, "warnings": warnings,
+        "out": args.out.as_deref().map(files::shown), "warnings": warnings,
     });
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
@@ -154,160 +137,6 @@ fn notes(side: &Side) -> &[String] {
         Side::Frames(frames) => frames.notes(),
         Side::Pictures(_) => &[],
     }
-}
-
-/// What is compared with what, and from where, for people.
-fn pairs(args: &Compare, a: &mut Side, b: &mut Side) -> Result<(Vec<Pair>, String)> {
-    match (a, b) {
-        (Side::Pictures(a), Side::Pictures(b)) => {
-            let pairs = side::pairs(a, b)?.into_iter().enumerate();
-            let pair = |(i, (a, b)): (usize, (PathBuf, PathBuf))| {
-                let name = side::stem(&b.to_string_lossy()).to_owned();
-                Pair { name, frame: i as u32, camera: 0, a: Source::File(a), b: Source::File(b) }
-            };
-            Ok((unique(pairs.map(pair).collect()), "as they are".to_owned()))
-        }
-        (Side::Frames(a), Side::Frames(b)) => {
-            let count = matched_frames(args, a.count(), b.count())?;
-            let (list, cameras) = views(args, b, count, None)?;
-            let pair = |Shown { name, frame, camera, from }: Shown| {
-                let render = Source::Render(Box::new(from));
-                let twin = match &render {
-                    Source::Render(camera) => Source::Render(camera.clone()),
-                    Source::File(path) => Source::File(path.clone()),
-                };
-                Pair { name, frame, camera, a: render, b: twin }
-            };
-            Ok((list.into_iter().map(pair).collect(), cameras))
-        }
-        (Side::Frames(frames), Side::Pictures(paths)) => {
-            photographed(args, frames, paths, |name, frame, camera, rendered, file| Pair {
-                name,
-                frame,
-                camera,
-                a: rendered,
-                b: file,
-            })
-        }
-        (Side::Pictures(paths), Side::Frames(frames)) => {
-            photographed(args, frames, paths, |name, frame, camera, rendered, file| Pair {
-                name,
-                frame,
-                camera,
-                a: file,
-                b: rendered,
-            })
-        }
-    }
-}
-
-/// Pairs of renders of `frames` and pictures that are there.
-fn photographed(
-    args: &Compare,
-    frames: &mut Frames,
-    paths: &[PathBuf],
-    pair: impl Fn(String, u32, usize, Source, Source) -> Pair,
-) -> Result<(Vec<Pair>, String)> {
-    let first = paths.first().context("no pictures")?;
-    let size = side::read(first, args.view.background)?.size();
-    let count = frames.count();
-    let (list, cameras) = views(args, frames, count, Some(size))?;
-    let names: Vec<&str> = list.iter().map(|shown| shown.name.as_str()).collect();
-    let (paths, how) = match side::by_name(paths, &names) {
-        Some(paths) => (paths, "matched by name"),
-        None if paths.len() == list.len() => (paths.to_vec(), "matched by order"),
-        None => {
-            bail!(
-                "{} pictures, and cameras and frames for {}; as many are needed: --camera, --frames",
-                paths.len(),
-                list.len()
-            )
-        }
-    };
-    let pairs = list.into_iter().zip(paths).map(|(shown, path)| {
-        let render = Source::Render(Box::new(shown.from));
-        pair(shown.name, shown.frame, shown.camera, render, Source::File(path))
-    });
-    Ok((pairs.collect(), format!("{cameras}, {how}")))
-}
-
-/// A picture that is to be rendered.
-struct Shown {
-    name: String,
-    frame: u32,
-    camera: usize,
-    from: Camera,
-}
-
-/// Of how many frames some are compared: both sides have as many, or those that were chosen. A side of one
-/// frame stands for any one frame.
-fn matched_frames(args: &Compare, a: u32, b: u32) -> Result<u32> {
-    let most = a.max(b);
-    let chosen = args.frames.map(|range| range.within(most)).transpose()?;
-    let has = |count: u32| {
-        chosen.as_ref().is_some_and(|chosen| chosen.end <= count || (count == 1 && chosen.len() == 1))
-    };
-    if a != b && !(has(a) && has(b)) {
-        let (first, second) = (&args.a, &args.b);
-        bail!("{first} and {second} have {a} and {b} frames; as many are needed, or --frames that both have");
-    }
-    Ok(most)
-}
-
-/// The frame of `side` that stands for `frame`.
-fn frame_of(side: &Frames, frame: u32) -> u32 {
-    if side.count() == 1 { 0 } else { frame }
-}
-
-/// The pictures to render, of a clip of `count` frames, and from where, for people.
-fn views(
-    args: &Compare,
-    frames: &mut Frames,
-    count: u32,
-    size: Option<(u32, u32)>,
-) -> Result<(Vec<Shown>, String)> {
-    let (own, up) = (frames.cameras().to_vec(), frames.up());
-    let mut around = Surroundings {
-        own: &own,
-        framing: &mut || frames.framing(),
-        ring: (Ring::HeldOut, CAMERAS),
-        size: size.unwrap_or(SIZE),
-        up,
-    };
-    let found = pipeline::viewpoints(&args.cameras, &args.view, &mut around)?;
-    let chosen = match args.frames {
-        None => 0..count,
-        Some(range) => range.within(count)?,
-    };
-    let mut list = Vec::new();
-    for (camera, view) in found.views.iter().enumerate() {
-        let name = side::stem(&view.name);
-        let shown = |frame: u32, name: String| Shown { name, frame, camera, from: view.camera.clone() };
-        if found.showing == Showing::Clip {
-            let each = chosen.clone().map(|frame| shown(frame, format!("{frame:05}_camera{camera}")));
-            list.extend(each);
-        } else {
-            let frame = found.showing.frame_of(view, camera, count)?;
-            let name = if name.is_empty() { format!("{camera:05}") } else { name.to_owned() };
-            list.push(shown(frame, name));
-        }
-    }
-    if list.is_empty() {
-        bail!("nothing to compare: no frame is chosen");
-    }
-    Ok((list, found.description))
-}
-
-/// Gives pictures of the same name a number.
-fn unique(mut pairs: Vec<Pair>) -> Vec<Pair> {
-    let mut names = std::collections::BTreeSet::new();
-    for (i, pair) in pairs.iter_mut().enumerate() {
-        if !names.insert(pair.name.clone()) {
-            pair.name = format!("{}_{i:05}", pair.name);
-            names.insert(pair.name.clone());
-        }
-    }
-    pairs
 }
 
 /// The picture of `source`.

@@ -20,7 +20,7 @@ use crate::{
     figures::counted,
     files,
     output::VerbOutput,
-    pipeline::{Frames, Quiet},
+    pipeline::{Frames, LeftOut, Quiet},
     progress::Progress,
 };
 
@@ -75,7 +75,8 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     }
     let bytes = std::fs::metadata(&args.out).ok().filter(std::fs::Metadata::is_file).map(|found| found.len());
     let json = json!({
-        "input": args.input, "out": args.out, "gaussians": scene.max_count(), "frames": scene.frames(),
+        "input": args.input, "out": files::shown(&args.out),
+        "gaussians": scene.max_count(), "frames": scene.frames(),
         "bytes": bytes, "axes": turned, "notes": scene.notes, "warnings": warnings,
     });
     Ok(VerbOutput { text, json, warnings, damaged })
@@ -89,13 +90,18 @@ fn read(input: &str, args: &SceneArgs, warn: &mut dyn FnMut(String)) -> Result<S
         stream @ Frames::Stream { .. } => stream,
     };
     let mut epochs = Vec::new();
+    let mut left_out = LeftOut::default();
     for frame in 0..frames.count() {
-        epochs.push(decoded::snapshot(&frames.instant(frame)?)?.0);
+        let instant = frames.instant(frame)?;
+        let (epoch, missing) = decoded::snapshot(&instant)?;
+        left_out.add(missing, instant.gaussians.len());
+        epochs.push(epoch);
     }
     let mut scene = decoded::joined(epochs, frames.frames_per_second())?;
     scene.up = frames.up();
     scene.footprint = frames.footprint();
     scene.notes = frames.notes().to_vec();
+    scene.notes.extend(left_out.sentence(&frames));
     Ok(scene)
 }
 

@@ -1,5 +1,8 @@
 //! Leaves packets out of a stream, without decoding it: `dgs cut`.
 
+mod budget;
+mod parity;
+
 use std::{
     ops::Range,
     path::{Path, PathBuf},
@@ -7,16 +10,12 @@ use std::{
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::{ids::Span, wire::manifest::Manifest};
-use emulator_host::{PacketGraph, policy};
 use serde_json::json;
-use trainer_host::{
-    Stream,
-    stream::{PacketMap, SlicePlacement},
-    utility::Table,
-};
+use trainer_host::stream::{PacketMap, SlicePlacement};
 
 use crate::{
     args::Cut,
+    figures::counted,
     files,
     output::VerbOutput,
     pipeline::{self, stored_utilities, utility_path},
@@ -59,24 +58,22 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
     if let Some(target) = &target {
         files::check(target)?;
     }
+    parity::only_of_whole_sets(&manifest, &stream, &mut stays);
     let mut ranking = None;
     if let Some(bytes) = args.bytes {
         let (order, by) = match &table {
             Some(table) => {
                 let wanted = stream.with_packets(|id| stays[id]);
-                (order_by_utility(&wanted, &map, table, frames.as_ref()), Ranking::Utility)
+                (budget::order_by_utility(&wanted, &map, table, frames.as_ref()), Ranking::Utility)
             }
-            None => (order_by_level(&stream, &map), Ranking::Level),
+            None => (budget::order_by_level(&stream, &map), Ranking::Level),
         };
-        if within(&stream, &order, &mut stays, bytes)? {
+        if budget::within(&stream, &map, &order, &mut stays, bytes)? {
             ranking = Some(by);
         }
     }
     let there = stream.packets().iter().filter(|packet| !packet.is_empty()).count();
-    if stays.iter().filter(|stays| **stays).count() < there {
-        // Parity of a set that is not whole repairs what was left out on purpose, or nothing.
-        (0..stays.len()).filter(|&id| map.is_parity(id)).for_each(|id| stays[id] = false);
-    }
+    let without = parity::left_out(&stream, &map, &stays);
     let cut = stream.with_packets(|id| stays[id]);
     let left = stays.iter().filter(|stays| **stays).count();
     let bytes = match &table {
@@ -89,16 +86,22 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
         files::write(target, bytes)?;
     }
     let before = stream.to_bytes()?.len();
-    let text = format!(
+    let mut text = format!(
         "{} → {}: {left} of {there} packets, {} of {before} bytes{}\n",
         args.input.display(),
         args.out.display(),
         bytes.len(),
         ranking.map_or("", Ranking::sentence)
     );
+    if without.packets > 0 {
+        text +=
+            &format!("  parity left out: {}, {} bytes\n", counted(without.packets, "packet"), without.bytes);
+    }
     let json = json!({
-        "input": args.input, "out": args.out, "packets": left, "packets_before": there,
+        "input": files::shown(&args.input), "out": files::shown(&args.out),
+        "packets": left, "packets_before": there,
         "bytes": bytes.len(), "bytes_before": before, "ranking": ranking.map(Ranking::name),
+        "parity_left_out": { "packets": without.packets, "bytes": without.bytes },
         "warnings": warnings,
     });
     Ok(VerbOutput { text, json, warnings, damaged })
@@ -106,7 +109,7 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
 
 /// Where utilities are written beside `out`: nowhere beside a device, and never over others.
 fn beside_output(out: &Path, bytes: &[u8], warnings: &mut Vec<String>) -> Option<PathBuf> {
-    if std::fs::metadata(out).is_ok_and(|found| !found.is_file()) {
+    if files::is_standard_output(out) || std::fs::metadata(out).is_ok_and(|found| !found.is_file()) {
         return None;
     }
     let target = utility_path(out);
@@ -156,79 +159,4 @@ impl Ranking {
             Self::Level => ", lower levels first: no utilities beside the input (encode with --utility)",
         }
     }
-}
-
-/// Packets that are there by what each byte of them adds to `frames`, what each needs before it; those that
-/// add nothing last.
-fn order_by_utility(
-    stream: &Stream,
-    map: &PacketMap,
-    table: &Table,
-    frames: Option<&Range<u32>>,
-) -> Vec<usize> {
-    let graph = pipeline::ranked_graph(stream, map, table).and_then(|graph| shown_in(graph, frames));
-    // Of a stream of which nothing shows, nothing is ranked.
-    let mut order: Vec<usize> = graph.map_or_else(
-        |_| Vec::new(),
-        |graph| {
-            policy::order_by_utility(&graph).iter().map(|packet| graph.wire_id(*packet).index()).collect()
-        },
-    );
-    let mut is_ranked = vec![false; stream.packets().len()];
-    order.iter().for_each(|&id| is_ranked[id] = true);
-    order.extend(order_by_level(stream, map).into_iter().filter(|&id| !is_ranked[id]));
-    order
-}
-
-/// The graph of which nothing but `frames` is shown.
-fn shown_in(graph: PacketGraph, frames: Option<&Range<u32>>) -> Result<PacketGraph> {
-    let Some(frames) = frames else { return Ok(graph) };
-    let mut parts = graph.parts().clone();
-    for group in &mut parts.groups {
-        let (first, past) = (group.first_frame.max(frames.start), (group.last_frame + 1).min(frames.end));
-        if first < past {
-            (group.first_frame, group.last_frame) = (first, past - 1);
-        } else {
-            group.utility = 0.0;
-        }
-    }
-    Ok(PacketGraph::new(parts)?)
-}
-
-/// Packets that are there by level, those of one level as they lie in the stream.
-fn order_by_level(stream: &Stream, map: &PacketMap) -> Vec<usize> {
-    let is_media = |&id: &usize| !stream.packets()[id].is_empty() && !map.is_parity(id);
-    let mut order: Vec<usize> = (0..stream.packets().len()).filter(is_media).collect();
-    let lowest = |id: usize| map.placements(id).iter().map(|placement| placement.group.level).min();
-    order.sort_by_key(|&id| lowest(id).map_or(u8::MAX, |level| level.get()));
-    order
-}
-
-/// Leaves packets out until the file has at most `bytes`: the last of `order` first. Parity goes with the
-/// first that does. Whether any had to.
-fn within(stream: &Stream, order: &[usize], stays: &mut [bool], bytes: u64) -> Result<bool> {
-    let file =
-        |stays: &[bool]| -> Result<u64> { Ok(stream.with_packets(|id| stays[id]).to_bytes()?.len() as u64) };
-    if file(stays)? <= bytes {
-        return Ok(false);
-    }
-    let order: Vec<usize> = order.iter().copied().filter(|&id| stays[id]).collect();
-    // Files are never larger with fewer packets: halving finds how many fit.
-    let first = |count: usize| {
-        let mut some = vec![false; stays.len()];
-        order[..count].iter().for_each(|&id| some[id] = true);
-        some
-    };
-    let least = file(&first(0))?;
-    if least > bytes {
-        bail!("--bytes is {bytes}; at least {least} are needed, for the manifest alone");
-    }
-    let (mut fits, mut exceeds) = (0, order.len() + 1);
-    while exceeds - fits > 1 {
-        let middle = fits + (exceeds - fits) / 2;
-        if file(&first(middle))? <= bytes { fits = middle } else { exceeds = middle }
-    }
-    let some = first(fits);
-    stays.copy_from_slice(&some);
-    Ok(true)
 }

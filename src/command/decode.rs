@@ -1,6 +1,8 @@
 //! Decodes a `.dgs` file to frames that other programs read, or to the digest of what it holds.
 
-use anyhow::{Result, bail};
+use std::ops::Range;
+
+use anyhow::Result;
 use codec_core::{
     ErrorKind,
     internals::{digest::Digest, ids::Level},
@@ -11,19 +13,20 @@ use trainer_host::stream::decoded;
 use super::convert::format::{FrameRun, SceneOutput};
 use crate::{
     args::Decode,
+    files,
     output::VerbOutput,
-    pipeline::{self, Frames, Quiet},
+    pipeline::{self, Frames, LeftOut, Quiet},
     progress::Progress,
 };
 
 /// Runs the verb.
 pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
-    let out =
-        args.out.as_deref().map(|out| Ok::<_, anyhow::Error>((out, SceneOutput::of(out)?))).transpose()?;
+    let out = args
+        .out
+        .as_deref()
+        .map(|out| Ok::<_, anyhow::Error>((out, SceneOutput::of_decoded(out)?)))
+        .transpose()?;
     if let Some((out, output)) = out {
-        if output == SceneOutput::FourDgs {
-            bail!("{}: .4dgs is written by dgs convert", out.display());
-        }
         output.check(out, args.overwrite)?;
         output.only(args.frame)?;
     }
@@ -53,16 +56,20 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
     let degree = stream.manifest()?.sh_degree();
     let mut frames = Frames::of_stream(received, Level::from_bits(args.level), None);
     let mut json = json!({
-        "file": args.input, "out": args.out, "packets": counters.media,
+        "file": files::shown(&args.input), "out": args.out.as_deref().map(files::shown),
+        "packets": counters.media,
         "recovered": counters.recovered, "frames": frames.count(),
     });
+    let mut notes = Vec::new();
     if args.digest {
-        let digest = format!("{:016x}", digest(&mut frames)?);
-        text += &format!("digest {digest}\n");
+        let range = args.frame.map_or(0..frames.count(), |frame| frame..frame.saturating_add(1));
+        let digest = format!("{:016x}", digest(&mut frames, range)?);
+        let of = args.frame.map_or(String::new(), |frame| format!(" of frame {frame}"));
+        text += &format!("digest{of} {digest}\n");
         json["digest"] = json!(digest);
     }
     if let Some((out, output)) = out {
-        let mut absent = AbsentGaussians::default();
+        let mut left_out = LeftOut::default();
         let progress = Progress::new("decode", quiet.0);
         let run = FrameRun {
             overwrite: args.overwrite,
@@ -73,55 +80,31 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
         text += &output.write(out, run, &progress, |frame| {
             let instant = frames.instant(frame)?;
             let (epoch, missing) = decoded::snapshot(&instant)?;
-            absent.add(missing, instant.gaussians.len());
+            left_out.add(missing, instant.gaussians.len());
             Ok((epoch, 0))
         })?;
         text += &format!("  axes are the stream's, with {} up: dgs convert turns them\n", frames.up());
-        warnings.extend(absent.warning());
+        let said = left_out.sentence(&frames);
+        if frames.has_all_bases() { notes.extend(said) } else { warnings.extend(said) }
     }
     let damaged = !warnings.is_empty();
     if let Some((_, output)) = out {
         warnings.extend(output.losses(degree, frames.footprint()));
     }
+    for note in &notes {
+        text += &format!("  note: {note}\n");
+    }
+    json["notes"] = json!(notes);
     json["warnings"] = json!(warnings);
     Ok(VerbOutput { text, json, warnings, damaged })
 }
 
-/// The digest of all frames, as conformance is told by.
-fn digest(frames: &mut Frames) -> Result<u64> {
+/// The digest of the frames in `range`; of all frames it is what conformance is told by.
+fn digest(frames: &mut Frames, range: Range<u32>) -> Result<u64> {
     let mut digest = Digest::new();
-    for frame in 0..frames.count() {
+    for frame in range {
         let instant = frames.instant(frame)?;
         digest = digest.frame(&instant.gaussians, &instant.sh_rest);
     }
     Ok(digest.get())
-}
-
-/// Gaussians that have not arrived and are not written.
-#[derive(Default)]
-struct AbsentGaussians {
-    /// Frames that lack some.
-    frames: usize,
-    /// The frame that lacks most: how many of how many.
-    most: (usize, usize),
-}
-
-impl AbsentGaussians {
-    fn add(&mut self, missing: usize, of: usize) {
-        self.frames += usize::from(missing > 0);
-        if missing > self.most.0 {
-            self.most = (missing, of);
-        }
-    }
-
-    fn warning(&self) -> Option<String> {
-        let (missing, of) = self.most;
-        (missing > 0).then(|| {
-            format!(
-                "Gaussians of which nothing has arrived are left out of {} frames, up to {missing} of {of}: \
-                 rows of different frames need not be the same Gaussians",
-                self.frames
-            )
-        })
-    }
 }

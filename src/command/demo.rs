@@ -69,7 +69,7 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
         text += &format!("  {:17} limited by {}\n", run.name, run.limit);
     }
     text += &format!("{}\n{}\n", figures.display(), report.display());
-    let json = json!({ "report": report, "figures": figures, "page": json });
+    let json = json!({ "report": files::shown(&report), "figures": files::shown(&figures), "page": json });
     Ok(VerbOutput { text, json, damaged: page.damaged, ..VerbOutput::default() })
 }
 

@@ -36,6 +36,9 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     files::check_stream(&args.out, &others)?;
     others.push(&args.out);
     if args.utility {
+        if files::is_standard_output(&args.out) {
+            bail!("--utility: is written beside the stream, and nothing is beside standard output");
+        }
         files::check(&pipeline::utility_path(&args.out))?;
     }
     if let Some(path) = &args.decisions_out {
@@ -46,6 +49,11 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     let mut loaded = pipeline::import(&args.input, &args.scene)?;
     let mut warnings: Vec<String> = loaded.damage.take().into_iter().collect();
     let damaged = !warnings.is_empty();
+    let unused = args.codec.unused();
+    if !unused.is_empty() {
+        let notes = &mut loaded.scene.notes;
+        notes.push(format!("not used, being for --profile dgs1: {}", unused.join(", ")));
+    }
     let device = args.device.into();
     Backend::open(device).context("--device")?;
     let target_views = target_views(args, &loaded.scene)?;
@@ -54,7 +62,11 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         EncodeOptions { device, target_views, ..pipeline::encode_options(&args.codec, Protection::NONE) };
     let start = Instant::now();
     let mut encoded = match &args.decisions {
-        Some(path) => pipeline::write(&loaded.scene, &read_decisions(path)?, quiet)?,
+        Some(path) => {
+            let decisions = read_decisions(path)?;
+            check_decisions(&decisions, &loaded.scene).with_context(|| path.display().to_string())?;
+            pipeline::write(&loaded.scene, &decisions, quiet)?
+        }
         None => pipeline::encode(&loaded.scene, &options, quiet)?,
     };
     let mut truncated = None;
@@ -107,7 +119,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         text += &format!("note: {note}\n");
     }
     let mut json = json!({
-        "name": loaded.name, "out": args.out, "file_bytes": bytes.len(), "seconds": seconds,
+        "name": loaded.name, "out": files::shown(&args.out), "file_bytes": bytes.len(), "seconds": seconds,
         "ledger": ledger, "report": report_json(report), "packets": packets, "parts": ledger.parts(),
         "notes": loaded.scene.notes,
         "bits_per_gaussian": ledger.bits_per_gaussian(), "bytes_per_frame": ledger.bytes_per_frame(),
@@ -136,7 +148,8 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
             );
         }
         json["utility"] = json!({
-            "groups": table.groups.len(), "protocol": table.protocol, "levels": audit, "path": path,
+            "groups": table.groups.len(), "protocol": table.protocol, "levels": audit,
+            "path": files::shown(&path),
             "negative_mean": audit.iter().map(|level| level.negative_mean).sum::<usize>(),
         });
     }
@@ -201,6 +214,24 @@ fn utilities(
 pub(super) fn read_decisions(path: &Path) -> Result<Decisions> {
     let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
     serde_json::from_slice(&bytes).with_context(|| format!("{}: not a file of decisions", path.display()))
+}
+
+/// Refuses decisions for another scene.
+fn check_decisions(decisions: &Decisions, scene: &Scene) -> Result<()> {
+    let Decisions::Dgs1(decisions) = decisions else { return Ok(()) };
+    let (found, wanted) = (scene.epochs().len(), decisions.epochs.len());
+    if found != wanted {
+        bail!("the scene has {}; the decisions are for {wanted}", counted(found, "epoch"));
+    }
+    for (i, (epoch, decided)) in scene.epochs().iter().zip(&decisions.epochs).enumerate() {
+        let found = epoch.count();
+        let wanted: usize = decided.clusters.iter().map(|cluster| cluster.gaussians.len()).sum();
+        if found != wanted {
+            let of = if scene.epochs().len() > 1 { format!(" in epoch {i}") } else { String::new() };
+            bail!("the scene has {}{of}; the decisions are for {wanted}", counted(found, "Gaussian"));
+        }
+    }
+    Ok(())
 }
 
 /// How Gaussians were clustered, for people.

@@ -5,8 +5,12 @@ mod manifest;
 use anyhow::Result;
 use codec_core::internals::{
     ids::{Level, Span},
-    wire::manifest::Manifest,
+    wire::{
+        file::{self, Record},
+        manifest::Manifest,
+    },
 };
+use codec_simd::crc32;
 use serde::Serialize;
 use serde_json::{Value, json};
 use trainer_host::{
@@ -37,7 +41,9 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
         files::check_apart(out, &[&args.input])?;
     }
     let mut warnings = Vec::new();
-    let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
+    let bytes = pipeline::input_bytes(&args.input)?;
+    let stream = pipeline::stream_of(&args.input, &bytes, &mut |w| warnings.push(w))?;
+    let after = after_the_end(&bytes);
     let manifest = stream.manifest()?;
     let map = PacketMap::of(&stream)?;
     let mut by_kind = [[(0u64, 0u64); Level::COUNT]; 2];
@@ -83,11 +89,15 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
     text += &format!("  parity: {parity} packets; missing: {missing}\n");
     let facts = StreamFacts::of(&stream, &manifest)?;
     text += &facts.lines();
+    if after > 0 {
+        text += &format!("  note: {after} bytes after the end of the stream are not part of it\n");
+    }
     let json = json!({
         "stream": facts,
-        "file": args.input, "profile": manifest.profile_name(),
+        "file": files::shown(&args.input), "profile": manifest.profile_name(),
         "manifest_bytes": stream.message().len(), "packets": packets, "parity_packets": parity,
-        "missing_packets": missing, "damage": warnings, "manifest": manifest_json(&manifest),
+        "missing_packets": missing, "bytes_after_end": after, "damage": warnings,
+        "manifest": manifest_json(&manifest),
     });
     if let Some(path) = &args.manifest {
         let document = manifest::document(&stream, &map)?;
@@ -95,6 +105,24 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
     }
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
+}
+
+/// Bytes of a `.dgs` file after its index; none where it is cut off before.
+fn after_the_end(bytes: &[u8]) -> usize {
+    let Ok((_, mut at)) = file::manifest(bytes) else { return 0 };
+    for record in file::packets(bytes, at, crc32) {
+        match record {
+            Record::Packet(first, packet) => at = first + packet.bytes().len(),
+            Record::Illegal(first, length, _) | Record::Damaged(first, length) => at = first + length,
+            Record::End => {
+                // Its mark and name, so many offsets, their checksum and the index's length.
+                let count = bytes.get(at + 6..at + 10).and_then(|count| count.try_into().ok());
+                let offsets = count.map_or(0, u32::from_le_bytes) as usize;
+                return bytes.len().saturating_sub(at + 18 + 4 * offsets);
+            }
+        }
+    }
+    0
 }
 
 /// What a stream comes to as a whole.

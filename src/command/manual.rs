@@ -35,7 +35,7 @@ pub fn pages(args: &Man) -> Result<VerbOutput> {
             .with_context(|| format!("page {name}"))?;
         let path = args.out.join(format!("{name}.1"));
         files::write(&path, &page)?;
-        written.push(path);
+        written.push(files::shown(&path));
     }
     let text = format!("wrote {} pages to {}\n", written.len(), args.out.display());
     Ok(VerbOutput { text, json: json!({ "pages": written }), ..VerbOutput::default() })

@@ -128,7 +128,8 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
     };
     let text = summary(args, &played.report, quality.as_ref());
     let damaged = !warnings.is_empty();
-    let json = json!({ "report": played.report, "quality": quality, "out": args.out, "warnings": warnings });
+    let out = args.out.as_deref().map(crate::files::shown);
+    let json = json!({ "report": played.report, "quality": quality, "out": out, "warnings": warnings });
     Ok(VerbOutput { text, json, warnings, damaged })
 }
 

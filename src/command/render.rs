@@ -1,23 +1,26 @@
 //! Renders a scene or a stream to pictures or video: from cameras of a file, of the scene, or around it.
 
+use std::ops::Range;
+
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
-use render_host::{Backend, Camera, Splats};
+use render_host::{Backend, Camera, Settings, Splats};
 use serde_json::json;
-use trainer_host::viewpoint::Ring;
 
 use crate::{
-    args::Render,
+    args::{Render, RenderBackground},
+    files,
     output::VerbOutput,
     pictures::{PictureOutput, PictureRun, PictureWriter},
-    pipeline::{self, Frames, Quiet, Showing, Surroundings, Viewpoints},
+    pipeline::{self, Frames, Quiet, RENDER_RING, Showing, Surroundings, Viewpoints},
     progress::Progress,
 };
 
-/// Cameras on the ring around a scene without its own.
-const RING: usize = 8;
 /// Width and height of pictures where nothing else says, pixels.
 const SIZE: (u32, u32) = (512, 512);
+
+/// Highest level of a stream: that of all of it.
+const LAST_LEVEL: u8 = 3;
 
 /// An image to make.
 struct Picture {
@@ -27,20 +30,36 @@ struct Picture {
     name: String,
 }
 
+/// The frames that are shown, and how many the clip has.
+struct Chosen {
+    count: u32,
+    range: Range<u32>,
+}
+
 /// Runs the verb.
 pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     let output = PictureOutput::of(&args.out, args.video_codec)?;
     output.check(&args.out, args.overwrite)?;
+    let is_transparent = args.view.background == RenderBackground::Transparent;
+    if is_transparent {
+        output.check_transparent(&args.out)?;
+    }
     let backend = Backend::open(args.device.into()).context("--device")?;
     let mut warnings = Vec::new();
     let level = Level::from_bits(args.level);
     let mut frames = Frames::open(&args.input, &args.scene, level, &mut |w| warnings.push(w))?;
     let (pictures, cameras) = pictures(args, &mut frames, output.is_still())?;
-    let settings = pipeline::settings(&args.view).with_footprint(frames.footprint());
+    let mut notes: Vec<String> =
+        frames.notes().iter().cloned().chain(unused(args, &frames, output)).collect();
+    notes.extend(
+        pictures.first().and_then(|first| output.rounded_up(first.camera.width(), first.camera.height())),
+    );
+    let settings = pipeline::settings(&args.view.opaque()).with_footprint(frames.footprint());
 
     let frames_per_second = args.rate.unwrap_or_else(|| frames.frames_per_second());
     let run = PictureRun { pictures: pictures.len(), frames_per_second, overwrite: args.overwrite };
     let mut writer = PictureWriter::begin(&args.out, output, run)?;
+    writer.name_cameras(&cameras);
     let mut renderer = backend.frames()?;
     let mut counters = None;
     let progress = Progress::new("render", quiet.0);
@@ -49,8 +68,15 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
         let instant = frames.instant(picture.frame)?;
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
         let rendered = renderer.render(&splats, &picture.camera, &settings)?;
-        writer.add(&picture.name, &rendered.image)?;
         counters = Some(rendered.counters);
+        if !is_transparent {
+            writer.add(&picture.name, &rendered.image)?;
+            continue;
+        }
+        let over_black = rendered.image.clone();
+        let over_white = Settings { background: [1.0; 3], ..settings.clone() };
+        let over_white = &renderer.render(&splats, &picture.camera, &over_white)?.image;
+        writer.add_transparent(&picture.name, &over_black, over_white)?;
     }
     // Of a video, the last pictures are still to be coded.
     progress.stage("finishing", 1.0);
@@ -58,15 +84,15 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     drop(progress);
     let count = pictures.len();
     let mut text = format!("wrote {count} images to {}; {cameras}\n", args.out.display());
-    for note in frames.notes() {
+    for note in &notes {
         text += &format!("  note: {note}\n");
     }
     let json = json!({
-        "out": args.out,
+        "out": files::shown(&args.out),
         "images": count,
         "cameras": cameras,
         "up": frames.up().to_string(),
-        "notes": frames.notes(),
+        "notes": notes,
         "device": backend.name(),
         "last_counters": counters,
         "warnings": warnings,
@@ -75,51 +101,70 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     Ok(VerbOutput { text, json, warnings, damaged })
 }
 
-/// The images that were asked for: one if `single`, else all frames from one camera, or one from each camera
-/// of a list.
+/// What a person should know whose options mean nothing to the scene or to what is written.
+fn unused(args: &Render, frames: &Frames, output: PictureOutput) -> Vec<String> {
+    let input = &args.input;
+    let mut notes = Vec::new();
+    if matches!(frames, Frames::Scene(_)) && args.level != LAST_LEVEL {
+        notes.push(format!("{input}: is a scene; not used, being for streams: --level"));
+    }
+    if args.rate.is_some() && !output.is_moving() {
+        let out = args.out.display();
+        notes.push(format!("{out}: is no animation or video; not used, being for those: --rate"));
+    }
+    notes
+}
+
+/// The images to make: one if `single`, else all frames from one camera, or one from each camera of a list.
 fn pictures(args: &Render, frames: &mut Frames, single: bool) -> Result<(Vec<Picture>, String)> {
     let own = frames.cameras().to_vec();
     let up = frames.up();
     let found = pipeline::viewpoints(
         &args.cameras,
-        &args.view,
-        &mut Surroundings {
-            own: &own,
-            framing: &mut || frames.framing(),
-            ring: (Ring::HeldOut, RING),
-            size: SIZE,
-            up,
-        },
+        &args.view.opaque(),
+        &mut Surroundings { own: &own, framing: &mut || frames.framing(), ring: RENDER_RING, size: SIZE, up },
     )?;
     let count = frames.count();
+    let range = args.frames.map_or(Ok(0..count), |range| range.within(count))?;
+    let chosen = Chosen { count, range };
     let views = &found.views;
     let is_list = found.showing != Showing::Clip;
     let pictures = if single && is_list {
         bail!("there are {} cameras; choose one by --camera, or give --out a folder", views.len());
     } else if single {
-        vec![picture(args, &found, 0, count)?]
+        if let Some(range) = args.frames {
+            bail!("--frames is {range}; a single image shows one frame: --frame");
+        }
+        vec![picture(args, &found, 0, &chosen)?]
     } else if is_list {
-        let each = (0..views.len()).map(|i| picture(args, &found, i, count));
-        each.collect::<Result<_>>()?
+        let each = (0..views.len()).map(|i| picture(args, &found, i, &chosen));
+        let is_chosen = |picture: &Picture| args.frame.is_some() || chosen.range.contains(&picture.frame);
+        let some: Vec<_> = each.filter(|picture| picture.as_ref().map_or(true, is_chosen)).collect();
+        some.into_iter().collect::<Result<_>>()?
     } else if let Some(frame) = args.frame {
         bail!("--frame is {frame}; every frame is shown there: a single image (.png) shows one");
     } else {
         let camera = &views[0].camera;
         let all =
-            (0..count).map(|frame| Picture { frame, camera: camera.clone(), name: format!("{frame:05}") });
+            chosen.range.map(|frame| Picture { frame, camera: camera.clone(), name: format!("{frame:05}") });
         all.collect()
     };
-    let is_one_of_many = single && args.cameras.camera.is_none() && views.len() > 1;
-    let from = if is_one_of_many { "the first of " } else { "" };
-    Ok((pictures, format!("{from}{}", found.description)))
+    if pictures.is_empty() {
+        bail!("--frames: no camera shows a frame that is chosen");
+    }
+    Ok((pictures, if is_list { found.description } else { found.of_first() }))
 }
 
-/// The image of one camera: at the frame typed, else at its own.
-fn picture(args: &Render, found: &Viewpoints, index: usize, count: u32) -> Result<Picture> {
+/// The image of one camera: at the frame typed, else at its own; cameras that play along do so over the
+/// frames that are chosen.
+fn picture(args: &Render, found: &Viewpoints, index: usize, chosen: &Chosen) -> Result<Picture> {
     let view = &found.views[index];
     let frame = match args.frame {
         Some(frame) => frame,
-        None => found.showing.frame_of(view, index, count)?,
+        None if found.showing == Showing::PlayAlong => {
+            chosen.range.start + found.showing.frame_of(view, index, chosen.range.len() as u32)?
+        }
+        None => found.showing.frame_of(view, index, chosen.count)?,
     };
     let stem = view.name.rsplit(['/', '\\']).next().unwrap_or_default();
     let stem = stem.rsplit_once('.').map_or(stem, |(stem, _)| stem);

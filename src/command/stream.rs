@@ -120,7 +120,7 @@ fn saved(out: &Path, stream: &Stream, arrived: Option<&[bool]>, json: &mut Value
     };
     let count = arrived.iter().filter(|arrived| **arrived).count();
     files::write(out, &stream.with_packets(|id| arrived[id]).to_bytes()?)?;
-    json["out"] = json!(out);
+    json["out"] = json!(files::shown(out));
     json["arrived_packets"] = json!(count);
     Ok(format!("what arrived, {count} of {} packets → {}\n", arrived.len(), out.display()))
 }

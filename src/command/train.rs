@@ -115,7 +115,7 @@ fn train(
         files::write(&folder.log, log.csv().as_bytes())?;
         let mut output =
             finish(args, &folder, dataset, (&trained, &log, ended), None, network, &stop, quiet)?;
-        output.json["checkpoint"] = json!(plan.checkpoints(args));
+        output.json["checkpoint"] = plan.checkpoints(args).iter().map(|path| files::shown(path)).collect();
         output
     } else {
         let (mut trainer, begun) = begin(args, &folder, dataset, backend)?;
@@ -351,12 +351,12 @@ fn said(
         "nodes": trained.nodes,
         "options": trained.options,
         "figures": figures,
-        "stream": folder.stream,
+        "stream": files::shown(&folder.stream),
         "bytes": bytes,
         "frames": frames,
-        "checkpoint": folder.checkpoint,
-        "log": folder.log,
-        "report": folder.report,
+        "checkpoint": files::shown(&folder.checkpoint),
+        "log": files::shown(&folder.log),
+        "report": files::shown(&folder.report),
         "notes": log.notes,
     });
     VerbOutput { text, json, warnings: log.notes.clone(), damaged: ended.interrupted }

@@ -18,7 +18,14 @@ use trainer_host::{
     viewpoint::{FIELD_OF_VIEW, Framing, Ring},
 };
 
-use crate::args::{CameraArgs, ViewArgs};
+use crate::{
+    args::{CameraArgs, ViewArgs},
+    figures::counted,
+};
+
+/// Cameras on the ring that `dgs render` looks from at a scene without its own: what compares its pictures
+/// with renders looks from the same.
+pub(crate) const RENDER_RING: (Ring, usize) = (Ring::HeldOut, 8);
 
 /// Most bytes of one file of cameras.
 const MAX_BYTES: u64 = 1 << 30;
@@ -32,6 +39,14 @@ pub struct Viewpoints {
     pub description: String,
     /// Which frames they show.
     pub showing: Showing,
+}
+
+impl Viewpoints {
+    /// For people: what its first camera is.
+    pub(crate) fn of_first(&self) -> String {
+        let from = if self.views.len() > 1 { "the first of " } else { "" };
+        format!("{from}{}", self.description)
+    }
 }
 
 /// Which frames a list of cameras shows.
@@ -80,36 +95,32 @@ pub struct Surroundings<'a> {
 /// A file that cannot be read, an image size or direction the camera refuses, a camera that is not there.
 pub fn viewpoints(typed: &CameraArgs, view: &ViewArgs, around: &mut Surroundings<'_>) -> Result<Viewpoints> {
     let size = (view.width.unwrap_or(around.size.0), view.height.unwrap_or(around.size.1));
+    let is_placed = typed.cameras.is_none() && (typed.is_placed() || around.own.is_empty());
     let mut found = match placed(typed, size, around)? {
         Some(found) => found,
         None => match &typed.cameras {
             Some(path) => {
                 let views = read_cameras(path, view.width.zip(view.height))?;
                 let description = format!("{} cameras of {}", views.len(), path.display());
-                {
-                    let showing = if views.len() > 1 { Showing::OwnFrame } else { Showing::Clip };
-                    Viewpoints { views, description, showing }
-                }
+                let showing = if views.len() > 1 { Showing::OwnFrame } else { Showing::Clip };
+                Viewpoints { views, description, showing }
             }
             None if !around.own.is_empty() => {
-                let description = format!("{} cameras of the scene", around.own.len());
+                let description = format!("{} of the scene", counted(around.own.len(), "camera"));
                 Viewpoints { views: unnamed(around.own.to_vec()), description, showing: Showing::Clip }
             }
             None => {
                 let (ring, count) = around.ring;
                 let cameras = (around.framing)()?.ring(ring, count, size).context("--width, --height")?;
-                let plural = if count == 1 { "" } else { "s" };
-                let description = format!("{count} camera{plural} around the scene, up {}", around.up);
+                let cameras_around = counted(count, "camera");
+                let description = format!("{cameras_around} around the scene, up {}", around.up);
                 Viewpoints { views: unnamed(cameras), description, showing: Showing::Clip }
             }
         },
     };
     for found in &mut found.views {
         let own = (found.camera.width(), found.camera.height());
-        let wanted = match typed.cameras {
-            Some(_) => (view.width.unwrap_or(own.0), view.height.unwrap_or(own.1)),
-            None => size,
-        };
+        let wanted = if is_placed { size } else { sized(own, view) };
         if wanted != own {
             found.camera = found.camera.resized(wanted.0, wanted.1).context("--width, --height")?;
         }
@@ -120,6 +131,21 @@ pub fn viewpoints(typed: &CameraArgs, view: &ViewArgs, around: &mut Surroundings
         found = Viewpoints { views: vec![view], description, showing: Showing::Clip };
     }
     Ok(found)
+}
+
+/// Width and height that `view` asks for of a camera whose pictures are `own` pixels: where one side is
+/// typed, the other follows, so that nothing is squashed.
+fn sized(own: (u32, u32), view: &ViewArgs) -> (u32, u32) {
+    let along = |side: u32, of: u32, other: u32| {
+        let scaled = f64::from(side) * f64::from(other) / f64::from(of.max(1));
+        scaled.round().clamp(1.0, f64::from(u32::MAX)) as u32
+    };
+    match (view.width, view.height) {
+        (None, None) => own,
+        (Some(width), None) => (width, along(width, own.0, own.1)),
+        (None, Some(height)) => (along(height, own.1, own.0), height),
+        (Some(width), Some(height)) => (width, height),
+    }
 }
 
 /// The cameras of --eye or --turntable, if either is typed.
@@ -222,6 +248,27 @@ mod tests {
         assert_eq!(choose(&views, "b/c.png").unwrap().name, "b/c.png");
         assert_eq!(choose(&views, "0").unwrap().name, "1");
         assert!(choose(&views, "2").unwrap_err().to_string().contains("0 to 1 are allowed"));
+    }
+
+    #[test]
+    fn own_cameras_are_never_squashed() {
+        let camera = Camera::look_at([0.0, 0.0, -3.0], [0.0; 3], [0.0, 1.0, 0.0], 0.8, 80, 45).unwrap();
+        let size = |width, height| {
+            let own = [camera.clone()];
+            let mut around = Surroundings {
+                own: &own,
+                framing: &mut || bail!("nothing is placed around the scene"),
+                ring: RENDER_RING,
+                size: (64, 64),
+                up: Up::Y,
+            };
+            let view = ViewArgs { width, height, background: [0.0; 3] };
+            let found = viewpoints(&CameraArgs::default(), &view, &mut around).unwrap();
+            assert_eq!(found.description, "1 camera of the scene");
+            (found.views[0].camera.width(), found.views[0].camera.height())
+        };
+        assert_eq!((size(None, None), size(Some(160), None)), ((80, 45), (160, 90)));
+        assert_eq!((size(None, Some(9)), size(Some(8), Some(8))), ((16, 9), (8, 8)));
     }
 
     fn placed_by(typed: &CameraArgs) -> Result<Viewpoints> {

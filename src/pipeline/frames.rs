@@ -9,7 +9,7 @@ use render_host::Camera;
 use trainer_host::{Instant, Scene, scene::Up, stream::Player, viewpoint::Framing};
 
 use super::{import, is_stream, read_stream};
-use crate::args::SceneArgs;
+use crate::{args::SceneArgs, figures::counted};
 
 /// Frames to look at: of a scene, or decoded one by one from a stream.
 pub enum Frames {
@@ -28,6 +28,38 @@ pub enum Frames {
         /// What a person should know.
         notes: Vec<String>,
     },
+}
+
+/// Gaussians of a stream's frames that are not written, since nothing of them is drawn.
+#[derive(Default)]
+pub(crate) struct LeftOut {
+    /// Frames that lack some.
+    frames: usize,
+    /// The frame that lacks most: how many of how many.
+    most: (usize, usize),
+}
+
+impl LeftOut {
+    /// Counts a frame of `of` Gaussians that lacks so many.
+    pub(crate) fn add(&mut self, left_out: usize, of: usize) {
+        self.frames += usize::from(left_out > 0);
+        if left_out > self.most.0 {
+            self.most = (left_out, of);
+        }
+    }
+
+    /// What was left out of `frames` and why, for people.
+    pub(crate) fn sentence(&self, frames: &Frames) -> Option<String> {
+        let (left_out, of) = self.most;
+        let which = if frames.has_all_bases() {
+            "Gaussians that are fully transparent at this quality are"
+        } else {
+            "Gaussians of which nothing has arrived are"
+        };
+        let whence = counted(self.frames, "frame");
+        let doubt = "rows of different frames need not be the same Gaussians";
+        (left_out > 0).then(|| format!("{which} left out of {whence}, up to {left_out} of {of}: {doubt}"))
+    }
 }
 
 impl Frames {
@@ -132,6 +164,14 @@ impl Frames {
                 let content = received.content().with_state(state);
                 player.instant(&content, frame).with_context(failed)
             }
+        }
+    }
+
+    /// Whether the base of every block of the stream is there, so that what is not drawn is transparent.
+    pub(crate) fn has_all_bases(&self) -> bool {
+        match self {
+            Frames::Scene(_) => true,
+            Frames::Stream { state, .. } => state.iter().all(|&mask| Arrived(mask).has(Level::BASE)),
         }
     }
 

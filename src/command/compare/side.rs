@@ -6,7 +6,15 @@ use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
 use render_host::Image;
 
-use crate::{args::SceneArgs, pipeline::Frames};
+use trainer_host::{
+    edit::{self, Similarity, turn_between},
+    import::{SEQUENCE_INDEX, SequenceIndex},
+};
+
+use crate::{
+    args::{Compare, SceneArgs},
+    pipeline::Frames,
+};
 
 /// Endings of pictures.
 const PICTURES: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
@@ -15,8 +23,15 @@ const PICTURES: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
 pub(super) enum Side {
     /// A scene or a stream.
     Frames(Box<Frames>),
-    /// Pictures, in the order of their names.
-    Pictures(Vec<PathBuf>),
+    /// Pictures that are there.
+    Pictures(Pictures),
+}
+
+/// Pictures in the order of their names, at least one.
+pub(super) struct Pictures {
+    pub(super) paths: Vec<PathBuf>,
+    /// For people: the cameras that they were rendered from, where their folder says.
+    pub(super) cameras: Option<String>,
 }
 
 impl Side {
@@ -29,16 +44,42 @@ impl Side {
     ) -> Result<Self> {
         let path = Path::new(input);
         if is_picture(path) {
-            return Ok(Self::Pictures(vec![path.to_owned()]));
+            return Ok(Self::Pictures(Pictures { paths: vec![path.to_owned()], cameras: None }));
         }
         if path.is_dir() && !path.join("meta.json").is_file() {
-            let pictures = pictures_in(path)?;
-            if !pictures.is_empty() {
-                return Ok(Self::Pictures(pictures));
+            let paths = pictures_in(path)?;
+            if !paths.is_empty() {
+                let index = std::fs::read(path.join(SEQUENCE_INDEX)).unwrap_or_default();
+                let index: SequenceIndex = serde_json::from_slice(&index).unwrap_or_default();
+                return Ok(Self::Pictures(Pictures { paths, cameras: index.cameras }));
             }
         }
         Ok(Self::Frames(Box::new(Frames::open(input, args, level, warn)?)))
     }
+
+    /// Whether it is a stream.
+    pub(super) fn is_stream(&self) -> bool {
+        matches!(self, Self::Frames(frames) if matches!(**frames, Frames::Stream { .. }))
+    }
+}
+
+/// Turns scene A into the axes of scene B where other directions are up in them, and says so.
+///
+/// # Errors
+/// Positions that do not stay finite.
+pub(super) fn turned_alike(args: &Compare, a: &mut Side, b: &Side) -> Result<Option<String>> {
+    let (Side::Frames(of_a), Side::Frames(of_b)) = (a, b) else { return Ok(None) };
+    let (Frames::Scene(of_a), Frames::Scene(of_b)) = (&mut **of_a, &**of_b) else { return Ok(None) };
+    let (from, to) = (of_a.up, of_b.up);
+    if from == to {
+        return Ok(None);
+    }
+    let rotation = turn_between(from, to);
+    let turned = edit::transform(of_a, &Similarity { rotation, ..Similarity::default() })?;
+    **of_a = turned;
+    of_a.up = to;
+    let (a, b) = (&args.a, &args.b);
+    Ok(Some(format!("{a} is turned: {from} is up in it, {to} in {b}; --up of both leaves axes as they are")))
 }
 
 /// The pictures of a folder, numbers in their names counted as numbers.
@@ -105,12 +146,54 @@ pub(super) fn read(path: &Path, background: [f32; 3]) -> Result<Image> {
     Ok(Image::read(path, background)?)
 }
 
-/// Pairs of pictures of two folders, in order.
-pub(super) fn pairs(a: &[PathBuf], b: &[PathBuf]) -> Result<Vec<(PathBuf, PathBuf)>> {
+/// Pairs of pictures of two folders, and how they were matched: by name where any name is on both sides, else
+/// by order.
+///
+/// # Errors
+/// Pictures without a partner.
+pub(super) fn pairs(a: &[PathBuf], b: &[PathBuf]) -> Result<(Vec<(PathBuf, PathBuf)>, &'static str)> {
+    let partner = |path: &Path, others: &[PathBuf]| {
+        let same = |other: &&PathBuf| name_of(other) == name_of(path);
+        others
+            .iter()
+            .find(same)
+            .or_else(|| others.iter().find(|other| stem_of(other) == stem_of(path)))
+            .cloned()
+    };
+    let (of_a, of_b): (Vec<_>, Vec<_>) = (
+        a.iter().map(|path| (path.clone(), partner(path, b))).collect(),
+        b.iter().map(|path| (path.clone(), partner(path, a))).collect(),
+    );
+    let is_named = of_a.iter().any(|(_, partner)| partner.is_some());
+    if is_named {
+        for (side, found) in [("B", &of_a), ("A", &of_b)] {
+            let missing: Vec<_> =
+                found.iter().filter(|(_, other)| other.is_none()).map(|(path, _)| name_of(path)).collect();
+            if let Some(first) = missing.first() {
+                let more = missing.len() - 1;
+                let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+                bail!(
+                    "{side} has no picture named as {first}{more}; pictures of the same names are compared"
+                );
+            }
+        }
+    }
     if a.len() != b.len() {
         bail!("A has {} pictures and B {}; as many are needed", a.len(), b.len());
     }
-    Ok(a.iter().cloned().zip(b.iter().cloned()).collect())
+    if is_named {
+        let pairs = of_a.into_iter().filter_map(|(path, partner)| Some((path, partner?)));
+        return Ok((pairs.collect(), "matched by name"));
+    }
+    Ok((a.iter().cloned().zip(b.iter().cloned()).collect(), "matched by order"))
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn stem_of(path: &Path) -> String {
+    stem(&path.to_string_lossy()).to_owned()
 }
 
 #[cfg(test)]
@@ -122,6 +205,22 @@ mod tests {
         let mut names = ["a_10.png", "a_9.png", "a_009b.png", "a_1.png", "b.png"];
         names.sort_by_cached_key(|name| natural(name));
         assert_eq!(names, ["a_1.png", "a_9.png", "a_009b.png", "a_10.png", "b.png"]);
+    }
+
+    #[test]
+    fn folders_of_pictures_are_matched_by_name_or_refused() {
+        let list = |names: &[&str]| -> Vec<PathBuf> { names.iter().map(PathBuf::from).collect() };
+        let (named, other) = (list(&["x/1.png", "x/2.png"]), list(&["y/2.jpg", "y/1.jpg"]));
+        let (found, how) = pairs(&named, &other).unwrap();
+        assert_eq!(how, "matched by name");
+        assert_eq!(found[0], (named[0].clone(), other[1].clone()));
+        let (found, how) = pairs(&named, &list(&["y/a.png", "y/b.png"])).unwrap();
+        assert_eq!((found[1].1.as_path(), how), (Path::new("y/b.png"), "matched by order"));
+        let error = pairs(&named, &list(&["y/2.png", "y/3.png"])).unwrap_err().to_string();
+        assert!(error.contains("B has no picture named as 1.png"), "{error}");
+        let error = pairs(&named, &list(&["y/1.png", "y/2.png", "y/3.png"])).unwrap_err().to_string();
+        assert!(error.contains("A has no picture named as 3.png"), "{error}");
+        assert!(pairs(&named, &list(&["y/a.png"])).unwrap_err().to_string().contains("as many are needed"));
     }
 
     #[test]

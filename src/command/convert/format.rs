@@ -2,7 +2,7 @@
 
 use std::{borrow::Borrow, path::Path};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use codec_core::{Footprint, ShDegree};
 use trainer_host::{
     Epoch, Scene,
@@ -42,6 +42,19 @@ pub(in crate::command) struct FrameRun {
 impl SceneOutput {
     /// By the ending of a name; a name without one is a folder's.
     pub(in crate::command) fn of(path: &Path) -> Result<Self> {
+        Self::named(path, ", .4dgs")
+    }
+
+    /// As [`SceneOutput::of`], of what a stream is decoded to.
+    pub(in crate::command) fn of_decoded(path: &Path) -> Result<Self> {
+        match Self::named(path, "")? {
+            Self::FourDgs => bail!("{}: .4dgs is written by dgs convert", path.display()),
+            output => Ok(output),
+        }
+    }
+
+    /// By the ending of a name, of `FileFormat::ENDINGS` and `others`.
+    fn named(path: &Path, others: &str) -> Result<Self> {
         // A folder that is there may be called anything.
         let Some(ending) = path.extension().filter(|_| !path.is_dir()) else { return Ok(Self::Folder) };
         if let Some(format) = FileFormat::of(path) {
@@ -54,8 +67,8 @@ impl SceneOutput {
             bail!("{}: a stream is written by dgs encode", path.display());
         }
         bail!(
-            "{}: .{} is no format that scenes are written in; {}, .4dgs, or a folder without an ending for a \
-             PLY sequence are allowed",
+            "{}: .{} is no format that scenes are written in; {}{others}, or a folder without an ending for \
+             a PLY sequence are allowed",
             path.display(),
             ending.to_string_lossy(),
             FileFormat::ENDINGS
@@ -129,11 +142,21 @@ impl SceneOutput {
             }
         };
         let (epoch, t) = frame(only)?;
-        let bytes = format.encode(epoch.borrow(), t, footprint)?;
+        let failed = || out.display().to_string();
+        let bytes = format.encode(epoch.borrow(), t, footprint).with_context(failed)?;
         files::write(out, &bytes)?;
         let gaussians = epoch.borrow().count();
         let one = if count > 1 { format!(", frame {only} of {count}") } else { String::new() };
-        Ok(format!("wrote {}: {gaussians} Gaussians, {} bytes{one}\n", out.display(), bytes.len()))
+        let mut text =
+            format!("wrote {}: {gaussians} Gaussians, {} bytes{one}\n", out.display(), bytes.len());
+        let clamped = format.clamped_colours(epoch.borrow(), t);
+        if clamped > 0 {
+            text += &format!(
+                "  note: colours of {} were clamped to what the format holds\n",
+                counted(clamped, "Gaussian")
+            );
+        }
+        Ok(text)
     }
 }
 

@@ -65,9 +65,9 @@ pub(super) fn run(
         "before": before,
         "fine_tuned": after,
         "bytes": bytes.len(),
-        "stream": folder.stream,
-        "registration": folder.registration,
-        "delivery": folder.delivery,
+        "stream": files::shown(&folder.stream),
+        "registration": files::shown(&folder.registration),
+        "delivery": files::shown(&folder.delivery),
     });
     Ok(VerbOutput { text, json, damaged: interrupted, ..VerbOutput::default() })
 }

@@ -1,6 +1,6 @@
 //! Opens what is to be shown: the bytes of a stream, from a file or by encoding a scene.
 
-use std::fs;
+use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use dgs_player::Stream;
@@ -37,7 +37,7 @@ pub(super) fn opened(input: &str, args: &View, quiet: Quiet, warn: &mut dyn FnMu
         return Ok(Opened { bytes: stream.to_bytes()?, up: None, damaged });
     }
     pipeline::unused_options(input, &args.scene, Some(&args.codec)).into_iter().for_each(&mut *warn);
-    let bytes = fs::read(input).with_context(|| format!("{input}: cannot read"))?;
+    let bytes = pipeline::input_bytes(Path::new(input))?.to_vec();
     let (_, damage) = Stream::from_bytes(&bytes).with_context(|| {
         format!("{input}: no .dgs file that can be shown (dgs encode makes one of a scene)")
     })?;

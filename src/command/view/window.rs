@@ -76,7 +76,8 @@ pub(super) fn screenshot(args: &View, out: &Path, quiet: Quiet) -> Result<VerbOu
     files::write(out, &image.to_png()?)?;
     let text = format!("{}: {} × {} pixels\n", out.display(), image.width(), image.height());
     let json = json!({
-        "out": out, "frame": args.at, "width": image.width(), "height": image.height(), "warnings": warnings,
+        "out": files::shown(out), "frame": args.at,
+        "width": image.width(), "height": image.height(), "warnings": warnings,
     });
     let damaged = opened.damaged;
     Ok(VerbOutput { text, json, warnings, damaged })

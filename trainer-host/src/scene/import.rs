@@ -89,14 +89,16 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
         if path.join("meta.json").is_file() {
             return import(&path.join("meta.json"), options);
         }
-        if path.join("lod-meta.json").is_file() {
-            let (found, allowed) = ("levels of detail", "the folder of one level, which holds a meta.json");
-            return Err(Format::Sog.unsupported("lod-meta.json", found, allowed).in_file(path));
+        if path.join(LEVELS_OF_DETAIL).is_file() {
+            return Err(of_one_level(path).in_file(path));
         }
         if let Some(file) = field_in(path) {
             return import(&file, options);
         }
         return folder(path, options);
+    }
+    if path.file_name().is_some_and(|name| name == LEVELS_OF_DETAIL) {
+        return Err(of_one_level(path.parent().unwrap_or(Path::new(""))).in_file(path));
     }
     let bytes = read(path, options)?;
     if is_pickled(&bytes) {
@@ -132,6 +134,19 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
     Ok(Scene { usual_up: usual_up(format), ..scene })
 }
 
+/// SOG's list of levels of detail, each of which is a folder beside it.
+const LEVELS_OF_DETAIL: &str = "lod-meta.json";
+
+/// That `folder` holds levels of detail, and which of them is a scene.
+fn of_one_level(folder: &Path) -> ImportError {
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let entries = folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
+    let first = entries.filter(|level| level.join("meta.json").is_file()).min();
+    let such = first.map(|level| format!(", such as {}", level.display())).unwrap_or_default();
+    let allowed = format!("the folder of one level, which holds a meta.json{such}");
+    Format::Sog.unsupported(LEVELS_OF_DETAIL, "SOG's list of levels of detail", allowed)
+}
+
 /// What to do about a checkpoint: to read it is to run it, which is left to the program that wrote it.
 const UNPICKLE: &str = "the PLY that its trainer exports, or an npz of its arrays:\n  \
     import numpy, torch; params = torch.load(\"FILE\", map_location=\"cpu\")\n  \
@@ -154,6 +169,20 @@ pub fn usual_up(format: Format) -> Option<Up> {
         Format::Ply | Format::CompressedPly | Format::Splat | Format::Sog | Format::Unity => Some(Up::MinusY),
         Format::Ksplat | Format::Splatv | Format::DynamicNpz | Format::Deformation => Some(Up::MinusY),
         Format::PointsNpz | Format::FourDgs | Format::Sequence | Format::Unknown => None,
+    }
+}
+
+impl Format {
+    /// The format of what [`import`] reads at `path`, where it can be read.
+    pub fn of(path: &Path) -> Option<Self> {
+        if path.is_dir() {
+            return match field_in(path) {
+                _ if path.join("meta.json").is_file() => Some(Self::Sog),
+                Some(_) => Some(Self::Deformation),
+                None => Some(Self::Sequence),
+            };
+        }
+        Some(sniff(&std::fs::read(path).ok()?, path))
     }
 }
 

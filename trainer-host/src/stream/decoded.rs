@@ -2,7 +2,8 @@
 
 use crate::scene::{Attributes, Epoch, Instant, Scene, SceneError, Track};
 
-/// The Gaussians of a decoded frame that have arrived, and how many have not.
+/// The Gaussians of a decoded frame of which anything is drawn, and how many are left out: those that have
+/// not arrived, and those whose opacity is 0.
 ///
 /// # Errors
 /// Values that no scene may hold.

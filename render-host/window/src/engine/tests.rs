@@ -23,7 +23,7 @@ fn options() -> WindowOptions {
         name: "fox".into(),
         size: SIZE,
         background: [0.0; 3],
-        up: Up::default(),
+        up: None,
         cap: 3,
         overlay: Overlay::None,
         time_s: 0.0,

@@ -185,7 +185,7 @@ fn watch(runtime: &Runtime, config: &ClientConfig, viewers: usize) -> Result<(Ve
 
 /// The stream that everybody watches.
 fn offer(sizes: &Sizes, quiet: Quiet) -> Result<Offer> {
-    let args = SceneArgs { fps: sizes.frames_per_second, ..setup::scene_args(sizes.gaussians) };
+    let args = SceneArgs { fps: Some(sizes.frames_per_second), ..setup::scene_args(sizes.gaussians) };
     let scene = pipeline::import(&format!("synth:cloth:{}:{FRAMES}", sizes.gaussians), &args)?.scene;
     let codec = CodecArgs {
         coarseness: COARSENESS,

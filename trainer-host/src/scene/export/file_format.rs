@@ -7,7 +7,7 @@ use codec_core::{Footprint, ShDegree};
 use super::{compressed_ply, gltf, ply, sog, splat, spz};
 use crate::scene::{
     Epoch, Up,
-    import::{Format, usual_up},
+    import::{Format, spz::COLOUR_SCALE, usual_up},
 };
 
 /// What one frame is written as.
@@ -84,6 +84,19 @@ impl FileFormat {
         })
     }
 
+    /// Gaussians of frame `t` of `epoch` whose colours of band 0 are beyond what it holds, and are clamped.
+    pub fn clamped_colours(self, epoch: &Epoch, t: usize) -> usize {
+        let unit: fn(f32) -> f32 = match self {
+            Self::Splat => super::display_colour,
+            Self::Spz => |sh0| sh0 * COLOUR_SCALE + 0.5,
+            Self::Ply | Self::CompressedPly | Self::Sog | Self::Glb => return 0,
+        };
+        // Half a step beyond is still the nearest byte.
+        let is_within = |sh0: &f32| (-0.5..=255.5).contains(&(255.0 * unit(*sh0)));
+        let colours = epoch.attributes().sh0.frame(t, epoch.count());
+        colours.iter().filter(|colour| !colour.iter().all(is_within)).count()
+    }
+
     /// What it cannot hold of Gaussians of degree `degree` that are drawn with `footprint`, for people.
     pub fn losses(self, degree: ShDegree, footprint: Footprint) -> Vec<String> {
         let mut losses = Vec::new();
@@ -104,6 +117,16 @@ impl FileFormat {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn colours_that_are_clamped_are_counted() {
+        let mut attributes = crate::scene::export::tests::epoch(3, 0).attributes().clone();
+        attributes.sh0 = crate::scene::Track::Constant(vec![[0.0; 3], [2.5, 0.0, 0.0], [0.0, -9.0, 0.0]]);
+        let epoch = Epoch::new(1, attributes).unwrap();
+        let clamped = [FileFormat::Splat, FileFormat::Spz, FileFormat::Ply]
+            .map(|format| format.clamped_colours(&epoch, 0));
+        assert_eq!(clamped, [2, 1, 0]);
+    }
 
     #[test]
     fn endings_decide() {

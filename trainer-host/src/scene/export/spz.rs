@@ -94,18 +94,27 @@ pub fn unpacked(epoch: &Epoch, t: usize, options: &SpzOptions) -> io::Result<(u8
     Ok((fraction_bits, planes(epoch, t, fraction_bits)))
 }
 
-fn refused(why: &str) -> io::Error {
+fn refused(why: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidInput, why)
 }
 
 /// Fraction bits, at most `requested`, at which the furthest position fits in 24 bits.
 fn fraction_bits(epoch: &Epoch, t: usize, requested: u8) -> io::Result<u8> {
     let positions = epoch.attributes().positions.frame(t, epoch.count());
-    let furthest = positions.iter().flatten().fold(0.0f32, |m, v| m.max(v.abs()));
+    let (mut furthest, mut at) = (0.0f32, 0);
+    for (i, position) in positions.iter().enumerate() {
+        let reach = position.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+        if reach > furthest {
+            (furthest, at) = (reach, i);
+        }
+    }
     (0..=requested.min(23))
         .rev()
         .find(|&bits| f64::from(furthest) * f64::from(1u32 << bits) + 0.5 < 8_388_607.0)
-        .ok_or_else(|| refused("a position beyond 8388607 units"))
+        .ok_or_else(|| {
+            let found = positions.get(at).copied().unwrap_or_default();
+            refused(format!("SPZ: position of Gaussian {at} is {found:?}; up to 8388607 units are allowed"))
+        })
 }
 
 fn planes(epoch: &Epoch, t: usize, fraction_bits: u8) -> [Vec<u8>; 6] {

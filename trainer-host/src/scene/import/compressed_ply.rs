@@ -137,6 +137,14 @@ fn coefficient(byte: f64) -> f32 {
 pub(super) mod tests {
     use super::*;
 
+    #[test]
+    fn what_is_cut_off_is_said_in_bytes() {
+        let bytes = sample(300);
+        let body = bytes.windows(11).position(|window| window == b"end_header\n").unwrap() + 11;
+        let error = parse(&bytes[..body + 20], &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains("element chunk: found 20 bytes; allowed: 96 bytes"), "{error}");
+    }
+
     /// `n` Gaussians in as many chunks as they need, with one harmonic band.
     pub fn sample(n: usize) -> Vec<u8> {
         let chunks = n.div_ceil(CHUNK);

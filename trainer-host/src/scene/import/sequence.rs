@@ -40,6 +40,9 @@ pub struct SequenceIndex {
     pub files: Vec<String>,
     /// Whether all of them were written.
     pub complete: bool,
+    /// Of pictures, for people: the cameras that they were rendered from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cameras: Option<String>,
 }
 
 impl SequenceIndex {
@@ -283,7 +286,8 @@ mod tests {
         }
         let with = |frames: usize, files: &[&str], complete: bool| {
             let files = files.iter().map(|&f| f.to_owned()).collect();
-            let index = serde_json::to_vec(&SequenceIndex { frames, files, complete }).unwrap();
+            let index =
+                serde_json::to_vec(&SequenceIndex { frames, files, complete, cameras: None }).unwrap();
             std::fs::write(folder.path().join(SEQUENCE_INDEX), index).unwrap();
             import(folder.path(), &ImportOptions::default())
         };

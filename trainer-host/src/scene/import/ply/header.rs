@@ -9,7 +9,7 @@ use std::borrow::Cow;
 use crate::scene::import::{
     Limits,
     bytes::array,
-    error::{Format, ImportError},
+    error::{ErrorKind, Format, ImportError},
 };
 
 const MAX_HEADER_BYTES: usize = 1 << 16;
@@ -237,7 +237,16 @@ impl Header {
         let mut offset = self.body;
         for skipped in before {
             offset = skip(bytes, offset, skipped, big).ok_or_else(|| {
-                format.truncated(format!("element {}", skipped.name), bytes.len() as u64, element.count)
+                let found = bytes.len().saturating_sub(offset) as u64;
+                let field = format!("element {}", skipped.name);
+                let rows = skipped.count;
+                match skipped.stride() {
+                    Some(stride) => format.truncated(field, found, rows.saturating_mul(stride as u64)),
+                    None => {
+                        let allowed = format_args!("{rows} lists");
+                        format.error(ErrorKind::Truncated, field, format_args!("{found} bytes"), allowed)
+                    }
+                }
             })?;
         }
         let body = bytes.get(offset..).unwrap_or_default();

@@ -1,0 +1,74 @@
+//! Tests what is compared with what: cameras, frames, names and axes of both sides.
+
+use std::{fs, path::Path};
+
+use super::{SMALL, json, ok, stopped};
+
+/// Mean PSNR of a comparison, dB, and what it says of its cameras.
+fn compared(at: &Path, args: &[&str]) -> (f64, String) {
+    let said = json(at, &[&["compare"], args].concat());
+    let psnr = said["summary"][0]["mean"].as_f64().unwrap();
+    (psnr, format!("{} {}", said["cameras"].as_str().unwrap(), said["notes"]))
+}
+
+/// Pictures that `render` wrote are compared with what the same cameras see, without a word on cameras.
+#[test]
+fn renders_are_compared_with_what_their_cameras_see() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:1000:4";
+    let text = ok(at, &[&["render", scene, "-o", "p"], &SMALL[..]].concat());
+    assert!(text.contains("the first of 8 cameras around the scene"), "{text}");
+    ok(at, &[&["render", scene, "-o", "p.png"], &SMALL[..]].concat());
+    for (pictures, how) in [("p", "matched by name"), ("p.png", "matched by order")] {
+        let (psnr, cameras) = compared(at, &[scene, pictures]);
+        assert!(psnr > 50.0 && cameras.contains(how), "{pictures}: {psnr} dB, {cameras}");
+        assert!(cameras.contains("the first of 8 cameras around the scene"), "{cameras}");
+    }
+    let (psnr, cameras) = compared(at, &["p", scene, "--frames", "1..2"]);
+    assert!(psnr > 50.0 && !cameras.contains("was rendered from"), "{psnr} dB, {cameras}");
+    // A part of the frames is named as they are.
+    fs::remove_file(at.join("p/00000.png")).unwrap();
+    assert!(compared(at, &["p", scene]).0 > 50.0);
+    // Other cameras than those of the pictures are named.
+    ok(at, &[&["render", scene, "-o", "round", "--turntable", "4"], &SMALL[..]].concat());
+    let (_, cameras) = compared(at, &["round", scene]);
+    assert!(cameras.contains("round was rendered from turntable of 4 cameras"), "{cameras}");
+    let said = json(at, &["compare", "round", scene, "--turntable", "4", "--frames", "1..2"]);
+    assert_eq!(said["pictures"].as_array().unwrap().len(), 2, "{said}");
+}
+
+#[test]
+fn folders_of_pictures_are_compared_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:1000:3";
+    ok(at, &[&["render", scene, "-o", "p"], &SMALL[..]].concat());
+    fs::create_dir(at.join("q")).unwrap();
+    for frame in 0..3 {
+        fs::copy(at.join(format!("p/{frame:05}.png")), at.join(format!("q/{frame:05}.png"))).unwrap();
+    }
+    assert_eq!(compared(at, &["p", "q"]).0, 99.0);
+    let said = json(at, &["compare", "p", "q", "--frames", "1", "--level", "0", "--turntable", "9"]);
+    assert_eq!(said["pictures"][0]["frame"], 1);
+    let notes = said["notes"].to_string();
+    assert!(notes.contains("not used: --turntable") && notes.contains("not used: --level"), "{notes}");
+    fs::rename(at.join("q/00000.png"), at.join("q/00003.png")).unwrap();
+    let text = stopped(at, &["compare", "p", "q"], 1);
+    assert!(text.contains("B has no picture named as 00000.png"), "{text}");
+}
+
+#[test]
+fn scenes_with_other_axes_are_compared_upright() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["convert", "synth:figure:1000:1", "a.ply"]);
+    ok(at, &["convert", "a.ply", "a.spz"]);
+    let (psnr, said) = compared(at, &[&["a.spz", "a.ply"], &SMALL[..]].concat());
+    assert!(
+        psnr > 30.0 && said.contains("a.spz is turned: y is up in it, minus-y in a.ply"),
+        "{psnr} {said}"
+    );
+    let (psnr, said) = compared(at, &[&["a.spz", "a.ply", "--up", "y"], &SMALL[..]].concat());
+    assert!(psnr < 30.0 && !said.contains("turned"), "{psnr} {said}");
+}

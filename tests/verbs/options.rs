@@ -1,0 +1,131 @@
+//! Tests that options do what they say or are named, and that what is left out is said.
+
+use std::fs;
+
+use serde_json::Value;
+
+use super::{SMALL, json, names, ok, stopped};
+
+/// A file of splat records, every other one of which is all but transparent.
+fn faint(count: usize) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for i in 0..count {
+        let position = [i as f32 * 0.1, (i % 7) as f32 * 0.1, (i % 5) as f32 * 0.1];
+        position.into_iter().chain([0.05; 3]).for_each(|value: f32| bytes.extend(value.to_le_bytes()));
+        bytes.extend([200, 100, 50, if i % 2 == 0 { 1 } else { 250 }, 255, 128, 128, 128]);
+    }
+    bytes
+}
+
+/// What is transparent at the quality of a stream that is all there is no damage.
+#[test]
+fn what_is_transparent_has_arrived() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    fs::write(at.join("a.splat"), faint(200)).unwrap();
+    ok(at, &["encode", "a.splat", "-o", "a.dgs", "--pictures", "0", "--coarseness", "20"]);
+    let text = ok(at, &["decode", "a.dgs", "-o", "a.ply"]);
+    assert!(text.contains("fully transparent at this quality are left out of 1 frame, up to"), "{text}");
+    let text = ok(at, &["convert", "a.dgs", "b.ply"]);
+    assert!(text.contains("fully transparent at this quality"), "{text}");
+    ok(at, &["encode", "synth:figure:2000:2", "-o", "b.dgs", "--pictures", "0"]);
+    let most = (fs::metadata(at.join("b.dgs")).unwrap().len() / 4).to_string();
+    ok(at, &["cut", "b.dgs", "c.dgs", "--bytes", &most]);
+    assert!(stopped(at, &["decode", "c.dgs", "-o", "c.ply"], 2).contains("nothing has arrived"));
+    assert!(ok(at, &["convert", "c.dgs", "d.ply"]).contains("nothing has arrived"));
+}
+
+/// Parity of sets that stay whole stays, and what goes is said; bytes that are left are used.
+#[test]
+fn a_cut_keeps_parity_that_repairs_and_uses_its_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["encode", "synth:figure:2000:12", "-o", "a.dgs", "--window-frames", "4", "--repair-set", "4"]);
+    let parity = |name: &str| json(at, &["inspect", name])["parity_packets"].as_u64().unwrap();
+    let all = parity("a.dgs");
+    let said = json(at, &["cut", "a.dgs", "base.dgs", "--levels", "0"]);
+    assert_eq!(parity("base.dgs"), all, "only base packets are protected, and all of them stay: {said}");
+    let said = json(at, &["cut", "a.dgs", "part.dgs", "--frames", "0..3"]);
+    let left = parity("part.dgs");
+    assert!(0 < left && left < all, "{left} of {all}");
+    assert_eq!(said["parity_left_out"]["packets"], all - left);
+    assert!(ok(at, &["cut", "a.dgs", "part.dgs", "--frames", "0..3"]).contains("parity left out: "));
+    let whole = fs::metadata(at.join("a.dgs")).unwrap().len();
+    for share in [3, 5, 8] {
+        let bytes = whole * share / 10;
+        let said = json(at, &["cut", "a.dgs", "some.dgs", "--bytes", &bytes.to_string()]);
+        let used = said["bytes"].as_u64().unwrap();
+        assert_eq!(used, fs::metadata(at.join("some.dgs")).unwrap().len());
+        assert!(used <= bytes && used + 400 > bytes, "{used} of {bytes}");
+    }
+}
+
+#[test]
+fn options_that_mean_nothing_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:1000:3";
+    ok(at, &["convert", scene, "a.ply"]);
+    let render = ["render", "a.ply", "-o", "a.png", "--level", "0", "--rate", "3", "--clip", "walk"];
+    let text = ok(at, &[&render[..], &SMALL[..]].concat());
+    for says in ["being for streams: --level", "being for those: --rate", "read as PLY; not used: --clip"] {
+        assert!(text.contains(says), "{text}");
+    }
+    let paper = ["encode", scene, "-o", "p.dgs", "--profile", "paper", "--block-len", "32"];
+    let text = ok(at, &[&paper[..], &["--packet-bytes", "900"]].concat());
+    assert!(text.contains("being for --profile dgs1: --block-len, --packet-bytes"), "{text}");
+    // One frame's digest is another than all frames', and there must be such a frame.
+    ok(at, &["encode", scene, "-o", "a.dgs", "--pictures", "0"]);
+    let digest =
+        |args: &[&str]| json(at, &[&["decode", "a.dgs", "--digest"], args].concat())["digest"].clone();
+    let (all, one, other) = (digest(&[]), digest(&["--frame", "1"]), digest(&["--frame", "2"]));
+    assert!(all != one && one != other, "{all} {one} {other}");
+    let text = stopped(at, &["decode", "a.dgs", "--digest", "--frame", "99"], 1);
+    assert!(text.contains("--frame is 99; 0 to 2 are allowed"), "{text}");
+}
+
+/// What is behind the scene is left open, and what is in front of it has the colour that it had.
+#[test]
+fn transparent_pictures_are_laid_over_any_background() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:1000:2";
+    let render = |out: &str, background: &str| {
+        ok(at, &[&["render", scene, "-o", out, "--background", background], &SMALL[..]].concat())
+    };
+    render("open.png", "transparent");
+    render("open.webp", "transparent");
+    render("open.apng", "transparent");
+    render("grey.png", "#808080");
+    for name in ["open.png", "open.webp"] {
+        let said = json(at, &["compare", name, "grey.png", "--background", "#808080"]);
+        let psnr = said["summary"][0]["mean"].as_f64().unwrap();
+        assert!(psnr > 45.0, "{name}: {psnr} dB");
+    }
+    let said = json(at, &["compare", "open.png", "grey.png", "--background", "1"]);
+    assert!(said["summary"][0]["mean"].as_f64().unwrap() < 20.0, "white shows through: {said}");
+    for name in ["x.jpg", "x.gif", "x.mp4"] {
+        let error = stopped(at, &["render", scene, "-o", name, "--background", "transparent"], 1);
+        assert!(error.contains("--background transparent: ") && error.contains(name), "{error}");
+    }
+}
+
+#[test]
+fn frames_are_rendered_as_chosen() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:1000:5";
+    let render = |out: &str, args: &[&str]| -> Value {
+        json(at, &[&["render", scene, "-o", out], args, &SMALL[..]].concat())
+    };
+    assert_eq!(render("p", &["--frames", "2..3"])["images"], 2);
+    assert_eq!(names(&at.join("p")), ["00002.png", "00003.png", "sequence.json"]);
+    let said = json(at, &["compare", "p", scene]);
+    let psnr = said["summary"][0]["mean"].as_f64().unwrap();
+    assert!(psnr > 50.0, "{psnr}");
+    assert_eq!(render("round", &["--frames", "2..3", "--turntable", "6"])["images"], 6);
+    let text = stopped(at, &["render", scene, "-o", "a.png", "--frames", "1..2"], 1);
+    assert!(text.contains("a single image shows one frame"), "{text}");
+    let text = stopped(at, &["render", scene, "-o", "q", "--frames", "3..9"], 1);
+    assert!(text.contains("frames 0 to 4 are there"), "{text}");
+}
