@@ -284,7 +284,7 @@ impl Endpoint for Blind {
 #[test]
 fn schedulers_and_endpoints_of_others_cannot_bring_a_run_down() {
     let graph = graph(Synthetic { frames: 30, ..Synthetic::default() }, 1);
-    let config = SessionConfig { cap: Nanos::from_s(20), ..SessionConfig::default() };
+    let config = SessionConfig { cap: Some(Nanos::from_s(20)), ..SessionConfig::default() };
     let mut endpoint = GraphReceiver::new(&graph, 4096);
     let report = run(&graph, &config, &mut Stray, &mut endpoint).unwrap();
     assert!(report.sender.refused_choices > 0 && report.sender.media == 0);

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use dgs_viewer::{FIRST_BYTES, Overlay, Up};
+use dgs_viewer::{FIRST_BYTES, Overlay};
 use render_host::{
     Image,
     gpu::{Device, DeviceOptions},
