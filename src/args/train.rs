@@ -18,9 +18,9 @@ use super::{
 /// (--split) has epochs.json and a folder epoch-N with the checkpoint and log of each.
 #[derive(Clone, Debug, Args)]
 pub struct Train {
-    /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), transforms.json (Nerfstudio), sparse/0
-    /// (COLMAP) or train_meta.json (Panoptic). Or any scene that import reads: its own renders are then the photographs, and a sequence
-    /// without identity becomes one moving scene.
+    /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), transforms.json (Nerfstudio),
+    /// sparse/0 (COLMAP) or train_meta.json (Panoptic). Or any scene that import reads: its own renders are
+    /// then the photographs, and a sequence without identity becomes one moving scene.
     pub input: String,
     /// Folder to write into.
     #[arg(short, long, default_value = "dgs-train")]
@@ -35,8 +35,8 @@ pub struct Train {
         allow_negative_numbers = true
     )]
     pub minutes: Option<f64>,
-    /// Go on from the checkpoint in --out; options of the training are those it was made with: others are refused.
-    /// Those of the encoder and of a scene's renders (--cameras, --side) are typed as before.
+    /// Go on from the checkpoint in --out; options of the training are those it was made with, and others
+    /// are refused. Those of the encoder and of a scene's renders (--cameras, --side) are typed as before.
     #[arg(long)]
     pub resume: bool,
     /// Replace the training in --out: what it has written is removed.

@@ -253,7 +253,8 @@ fn manifest_json(manifest: &Manifest<'_>) -> Value {
         .collect();
     json!({
         "frames": head.frames, "fps": manifest.frames_per_second(), "sh_degree": head.sh_degree,
-        "footprint": manifest.footprint().name(), "up": manifest.up().name(), "block_len": manifest.block_len().get(),
+        "footprint": manifest.footprint().name(), "up": manifest.up().name(),
+        "block_len": manifest.block_len().get(),
         "packets": head.packets, "clusters": head.clusters,
         "epochs": epochs, "windows": windows, "tables": head.tables,
         "repair": manifest.repairs().map(|r| json!({

@@ -88,7 +88,8 @@ fn faults_are_named_by_file_and_field() {
     assert!(text.contains("transforms_train.json") && text.contains("sparse/0"), "{text}");
 }
 
-/// What Nerfstudio writes: one file, a mark at its start, JPEG images, here twice as large as the cameras say.
+/// What Nerfstudio writes: one file, a mark at its start, JPEG images, here twice as large as their
+/// cameras.
 #[test]
 fn one_file_of_transforms_is_parted_and_images_are_found() {
     let folder = tempfile::tempdir().unwrap();

@@ -159,7 +159,10 @@ pub(super) fn within_loss(
     }
     let Attempt { encoded, lost_db, .. } = best;
     let over = (lost_db > allowed).then(|| {
-        format!("encoding takes {lost_db:.3} dB from the PSNR of the views it is judged by; --encoding-loss is {allowed}")
+        format!(
+            "encoding takes {lost_db:.3} dB from the PSNR of the views it is judged by; --encoding-loss is \
+             {allowed}"
+        )
     });
     Ok(Written { encoded, lost_db: Some(lost_db), notes: over.into_iter().collect() })
 }

@@ -179,8 +179,9 @@ fn thirds(coarser: f32, most: u8) -> [u8; 3] {
 /// level fit i32.
 pub(super) const DGS1_MOST_RATIO: f32 = 60_000.0;
 
-/// The `dgs1` quantisation profile for `quality` on `grid`. `frames` are those of the epoch; `predicted` says per canonical class, then per moving class, whether differences are coded,
-/// `decorrelated` per canonical class whether triples are coded as their mean and differences.
+/// The `dgs1` quantisation profile for `quality` on `grid`. `frames` are those of the epoch; `predicted` says
+/// per canonical class, then per moving class, whether differences are coded, `decorrelated` per canonical
+/// class whether triples are coded as their mean and differences.
 pub(super) fn dgs1(
     quality: &Quality,
     grid: &Grid,

@@ -93,8 +93,8 @@ impl Model {
     }
 
     /// Adds a layer of `count` nodes that move as the Gaussians do that they stand at; Gaussians follow those
-    /// nearest to them over the clip. Where it is known in which space something moves, Gaussians outside of it
-    /// stand still.
+    /// nearest to them over the clip. Where it is known in which space something moves, Gaussians outside of
+    /// it stand still.
     pub(super) fn spread_nodes(&mut self, count: usize, changing: Option<&Changing>) {
         if let Some(changing) = changing {
             self.follow_where(changing);

@@ -20,8 +20,8 @@ pub struct Trimmed {
 
 impl Dataset {
     /// The same with photographs that can be reduced so that no side is longer than `max_side`, and then by
-    /// half again and again: what does not divide is cut off at the right and at the bottom, 15 of 1,000 pixels
-    /// at most. Photographs that divide are left as they are.
+    /// half again and again: what does not divide is cut off at the right and at the bottom, 15 of 1,000
+    /// pixels at most. Photographs that divide are left as they are.
     pub fn trimmed(mut self, max_side: u32) -> (Self, Option<Trimmed>) {
         let sides = |views: &[PosedPhotograph]| -> Vec<u32> {
             views.iter().flat_map(|view| [view.photograph.width(), view.photograph.height()]).collect()

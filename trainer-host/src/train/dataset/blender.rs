@@ -1,8 +1,8 @@
 //! Reads Blender and D-NeRF datasets, `transforms_{train,val,test}.json`, and those of Nerfstudio with one
 //! `transforms.json`, whose every eighth frame is for testing.
 //!
-//! Images are the `file_path` of each frame, as PNG, JPEG or WebP where it has no extension. `time` of a frame
-//! is 0 to 1; without it nothing moves. Images with alpha have outlines.
+//! Images are the `file_path` of each frame, as PNG, JPEG or WebP where it has no extension. `time` of a
+//! frame is 0 to 1; without it nothing moves. Images with alpha have outlines.
 
 use std::path::{Path, PathBuf};
 
@@ -119,6 +119,6 @@ fn image_path(folder: &Path, name: &str) -> Result<PathBuf, DatasetError> {
         path: folder.to_owned(),
         field: "file_path".to_owned(),
         found: name.to_owned(),
-        allowed: "no such image; .png, .jpg, .jpeg and .webp are allowed, and looked for where it has no ending",
+        allowed: "no such image; .png, .jpg, .jpeg and .webp are looked for where a name has no ending",
     })
 }

@@ -19,8 +19,8 @@ pub enum DatasetError {
     },
     /// A folder of none of the layouts.
     #[error(
-        "{}: no dataset; transforms_train.json (Blender, D-NeRF), transforms.json (Nerfstudio), sparse/0 with \
-         cameras.bin or cameras.txt (COLMAP) or train_meta.json (Panoptic) is needed",
+        "{}: no dataset; transforms_train.json (Blender, D-NeRF), transforms.json (Nerfstudio), sparse/0 \
+         with cameras.bin or cameras.txt (COLMAP) or train_meta.json (Panoptic) is needed",
         path.display()
     )]
     Unknown {

@@ -262,8 +262,8 @@ fn check_part(
     in_range(fields.0, place, u64::from(first), 0, last).map(|_| ())
 }
 
-/// Checks the head's numbers on their own; gives the harmonic degree, the block length, the footprint and which
-/// way is up.
+/// Checks the head's numbers on their own; gives the harmonic degree, the block length, the footprint and
+/// which way is up.
 pub(super) fn check_head(head: &Head) -> Result<(ShDegree, NonZero<u32>, Footprint, Up)> {
     let in32 = |field, at, value: u32, low, high| in_range(field, at, value, low, high).map(|_| ());
     let degrees = (0, ShDegree::MAX.get().into());
