@@ -224,6 +224,10 @@ export class Decoder {
      * How long a clock waits for a base level, seconds.
      */
     readonly patience: number;
+    /**
+     * Which way is up: `y`, `minus-z` and so on.
+     */
+    readonly up: string;
 }
 
 /**
@@ -391,6 +395,7 @@ export interface InitOutput {
     readonly decoder_roundStart: (a: number, b: number) => number;
     readonly decoder_take: (a: number, b: number, c: number, d: number) => void;
     readonly decoder_takeWhole: (a: number, b: number, c: number) => [number, number];
+    readonly decoder_up: (a: number) => [number, number];
     readonly decoder_wanted: (a: number) => [number, number];
     readonly firstBytes: () => number;
     readonly levelColours: () => [number, number];
@@ -409,11 +414,11 @@ export interface InitOutput {
     readonly screen_upload: (a: number, b: number, c: number, d: number, e: number, f: number, g: number) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64: (a: number, b: number, c: any, d: any) => void;
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_78: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_79: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_80: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043: (a: number, b: number, c: any) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_77: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_78: (a: number, b: number, c: any) => void;
     readonly __wbindgen_malloc: (a: number, b: number) => number;
     readonly __wbindgen_realloc: (a: number, b: number, c: number, d: number) => number;
     readonly __wbindgen_free: (a: number, b: number, c: number) => void;

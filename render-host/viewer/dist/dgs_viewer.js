@@ -610,6 +610,22 @@ export class Decoder {
         wasm.decoder_take(this.__wbg_ptr, val2, ptr0, len0);
     }
     /**
+     * Which way is up: `y`, `minus-z` and so on.
+     * @returns {string}
+     */
+    get up() {
+        let deferred1_0;
+        let deferred1_1;
+        try {
+            const ret = wasm.decoder_up(this.__wbg_ptr);
+            deferred1_0 = ret[0];
+            deferred1_1 = ret[1];
+            return getStringFromWasm0(ret[0], ret[1]);
+        } finally {
+            wasm.__wbindgen_free(deferred1_0, deferred1_1, 1);
+        }
+    }
+    /**
      * Which bytes to ask for next: first and past; one number for the whole file; none when all is there.
      * @returns {Float64Array}
      */
@@ -1796,7 +1812,7 @@ function __wbg_get_imports() {
         },
         __wbindgen_generic_0000000000000002: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUDevice")], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76);
             return ret;
         },
         __wbindgen_generic_0000000000000003: function(arg0, arg1) {
@@ -1806,17 +1822,17 @@ function __wbg_get_imports() {
         },
         __wbindgen_generic_0000000000000004: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUUncapturedErrorEvent")], shim_idx: 21, ret: Unit, inner_ret: Some(Unit) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_77);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_78);
             return ret;
         },
         __wbindgen_generic_0000000000000005: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("any")], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_78);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_79);
             return ret;
         },
         __wbindgen_generic_0000000000000006: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("undefined")], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_79);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_80);
             return ret;
         },
         __wbindgen_generic_0000000000000007: function(arg0) {
@@ -1853,8 +1869,8 @@ function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043(arg0, arg
     wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043(arg0, arg1, arg2);
 }
 
-function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_77(arg0, arg1, arg2) {
-    wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_77(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_78(arg0, arg1, arg2) {
+    wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_78(arg0, arg1, arg2);
 }
 
 function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b(arg0, arg1, arg2) {
@@ -1864,15 +1880,8 @@ function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b(arg0, arg
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75(arg0, arg1, arg2);
-    if (ret[1]) {
-        throw takeFromExternrefTable0(ret[0]);
-    }
-}
-
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_78(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_78(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
@@ -1880,6 +1889,13 @@ function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_78(arg0, 
 
 function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_79(arg0, arg1, arg2) {
     const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_79(arg0, arg1, arg2);
+    if (ret[1]) {
+        throw takeFromExternrefTable0(ret[0]);
+    }
+}
+
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_80(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_80(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
