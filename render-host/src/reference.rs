@@ -9,8 +9,8 @@
 //! A pixel is *close to a threshold* when some alpha is within a relative 1e-5 of the cut-off, or its
 //! transmittance as near to the stop as f32 may have rounded it on the way there, 1e-3 at most. There,
 //! rounding decides, and renderers may rightly differ by a whole contribution: up to cut-off × colour for
-//! an alpha, stop × colour for a stop. Everywhere else they differ by rounding alone. [`Reference::close`] counts these, so that a comparison can hold each
-//! kind to its own bound.
+//! an alpha, stop × colour for a stop. Everywhere else they differ by rounding alone. [`Reference::close`]
+//! counts these, so that a comparison can hold each kind to its own bound.
 
 use crate::{
     camera::{Camera, dot, rotation_matrix},

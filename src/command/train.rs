@@ -184,8 +184,8 @@ fn photographs(args: &Train, mut dataset: Dataset) -> Result<Input> {
     notes.extend(trimmed.map(|trimmed| {
         let ((width, height), (to_width, to_height)) = (trimmed.before, trimmed.after);
         format!(
-            "photographs of {width} x {height} pixels, {} of them, are cut to {to_width} x {to_height}, which \
-             can be halved",
+            "photographs of {width} x {height} pixels, {} of them, are cut to {to_width} x {to_height}, \
+             which can be halved",
             trimmed.photographs
         )
     }));

@@ -96,7 +96,7 @@ type Counts = [usize; RULES.len()];
 /// Each room and the most it may count.
 const CEILINGS: [(&str, Counts); 16] = [
     ("", [0, 1, 0, 7, 0, 0, 0, 0, 125]),
-    ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 25]),
+    ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 26]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),
     ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 0, 22]),
@@ -109,7 +109,7 @@ const CEILINGS: [(&str, Counts); 16] = [
     ("render-host/viewer/", [0, 0, 0, 0, 0, 0, 0, 0, 23]),
     ("render-host/window/", [0, 0, 0, 0, 0, 0, 0, 0, 11]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 50]),
-    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 313]),
+    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 315]),
     ("trainer-host/python/", [0, 0, 0, 0, 0, 0, 0, 0, 0]),
 ];
 

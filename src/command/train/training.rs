@@ -106,8 +106,8 @@ pub(super) fn check_length(args: &Train, trainer: &Trainer, progress: f64) -> Re
     let taken = trainer.steps();
     if progress >= 1.0 && (args.minutes.is_some() || args.steps.is_some_and(|steps| steps > taken)) {
         bail!(
-            "--resume: the training is complete, after {taken} steps; rates and stages follow the length that \
-             it was begun with, so --steps and --minutes cannot prolong it"
+            "--resume: the training is complete, after {taken} steps; rates and stages follow the length \
+             that it was begun with, so --steps and --minutes cannot prolong it"
         );
     }
     if progress < 1.0 && args.steps.is_some_and(|steps| steps <= taken) {

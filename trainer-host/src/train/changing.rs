@@ -2,8 +2,8 @@
 //!
 //! In a capture by many fixed cameras most of the scene is walls and floor. What moves passes through places
 //! whose pixels change in nearly every picture that shows them; a place that changes in one picture and not
-//! in others only lies behind or before it. Control nodes are spread where something moves, and all else stands
-//! still from the beginning.
+//! in others only lies behind or before it. Control nodes are spread where something moves, and all else
+//! stands still from the beginning.
 
 use std::collections::BTreeMap;
 

@@ -102,8 +102,8 @@ impl Checkpoint {
     pub fn resume(self, dataset: &Dataset) -> Result<Trainer<'_>, TrainError> {
         if self.views != fingerprint(dataset) {
             return Err(TrainError::Checkpoint(format!(
-                "made from {:?}, whose training images have other names, times, sizes, cameras or pixels than \
-                 those of {:?}; of a scene, --cameras and --side must be the same",
+                "made from {:?}, whose training images have other names, times, sizes, cameras or pixels \
+                 than those of {:?}; of a scene, --cameras and --side must be the same",
                 self.dataset, dataset.name
             )));
         }

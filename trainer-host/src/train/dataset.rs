@@ -1,9 +1,9 @@
 //! Reads datasets: photographs with cameras and times, from the layouts that the field uses.
 //!
 //! A folder with `transforms_train.json` is a Blender or D-NeRF one, with `transforms.json` one of
-//! Nerfstudio, with a reconstruction in `sparse/0`, `sparse` or `colmap/sparse/0` a COLMAP one, with `train_meta.json` a
-//! Panoptic one (Dynamic 3D Gaussians). Anything an importer reads becomes a dataset by rendering it: see
-//! [`rendered`].
+//! Nerfstudio, with a reconstruction in `sparse/0`, `sparse` or `colmap/sparse/0` a COLMAP one, with
+//! `train_meta.json` a Panoptic one (Dynamic 3D Gaussians). Anything an importer reads becomes a dataset by
+//! rendering it: see [`rendered`].
 
 mod blender;
 mod colmap;

@@ -154,7 +154,7 @@ impl FreeSpace {
     }
 
     /// Whether `place` is in it.
-    pub fn contains(&self, place: [f32; 3]) -> bool {
+    pub(crate) fn contains(&self, place: [f32; 3]) -> bool {
         self.cameras.iter().any(|camera| {
             let [x, y, z] = camera.to_camera(place);
             let distance = (x * x + y * y + z * z).sqrt();
