@@ -211,7 +211,7 @@ fn proxies(model: &mut Model) {
         3..6 | 12 => number as u8 % 70,
         _ => number as u8,
     };
-    model.drawing = 0x52;
+    model.drawing = 2;
     model.proxies = Some((0..13 * blocks).map(|i| byte(i, numbers.next())).collect());
 }
 
