@@ -343,7 +343,7 @@ mod tests {
         }
         let few = EncodeOptions { target: Some(Target::Bytes(1000)), ..options.clone() };
         let error = again_to_size(&scene, &first.decisions, &few, &crate::encode::unheard).unwrap_err();
-        assert!(matches!(error, EncodeError::Unreachable { .. }), "{error}");
+        assert!(matches!(error, EncodeError::UnreachableByMotion { .. }), "{error}");
         // Without a size nothing is sought.
         let again = again_to_size(&scene, &first.decisions, &options, &crate::encode::unheard).unwrap();
         assert_eq!(again.report.reached, None);

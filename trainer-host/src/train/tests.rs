@@ -303,7 +303,7 @@ fn foreign_and_damaged_checkpoints_are_refused() {
     let mut views = dataset.train.photographs().to_vec();
     let photograph = &views[0].photograph;
     let mut rgba = photograph.rgba().to_vec();
-    rgba[0] ^= 1;
+    rgba[3] ^= 1;
     views[0].photograph = Photograph::new(photograph.width(), photograph.height(), rgba).unwrap();
     changed.train = Views::new(views).unwrap();
     assert!(Checkpoint::from_bytes(&bytes).unwrap().resume(&changed).is_err());
