@@ -24,8 +24,9 @@ use crate::{
 pub const CLOSE_ALPHA: f64 = 1e-5;
 /// Largest relative distance from the transmittance stop that counts as close.
 pub const CLOSE_STOP: f64 = 1e-3;
-/// Relative error of an f32 product of two numbers, one of them `1 - alpha`.
-const PRODUCT_ROUNDING: f64 = 2.0 * 5.97e-8;
+/// Relative error of a product by `1 - alpha` in f32: two roundings of half an ulp, of `1 - alpha` and of the
+/// product.
+const PRODUCT_ROUNDING: f64 = f32::EPSILON as f64;
 
 /// Splats between two looks at whether a row is finished.
 const LOOK_EVERY: usize = 256;

@@ -21,7 +21,7 @@ use serde_json::json;
 use trainer_host::{
     Scene,
     train::{
-        self, Dataset, Posable, Test, Views,
+        self, Checkpoint, Dataset, Posable, Test, Views,
         dataset::{self, rendered},
         delivery::DeliveryOptions,
     },
@@ -37,7 +37,7 @@ use self::{
     log::Log,
     page::{Ended, Page},
     trained::Trained,
-    training::{GLANCE_VIEWS, begin, check_length, fit, max_side, options},
+    training::{GLANCE_VIEWS, begin, check_length, fit, options, resumed},
 };
 use crate::{
     args::{DeviceName, train::Train},
@@ -70,18 +70,22 @@ pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     let delivery = args.delivery.as_deref().map(DeliveryOptions::read).transpose();
     let delivery =
         delivery.context("--delivery: reconstruction, iid, burst-cvar, mixed, or a JSON file is allowed")?;
-    options(args)?.validate()?;
+    let typed = options(args)?;
+    typed.validate()?;
+    let resumed = resumed(args, &Folder::of(&args.out))?;
+    let max_side = resumed.as_ref().map_or(typed.max_side, |checkpoint| checkpoint.options().max_side);
     let backend = Backend::open(args.device.into()).context("--device")?;
     let loading = Progress::new("read the dataset", quiet.0);
-    let input = load(args)?;
+    let input = load(args, max_side)?;
     drop(loading);
-    let output = train(args, &input, delivery.as_ref(), &backend, quiet)?;
+    let output = train(args, &input, resumed, delivery.as_ref(), &backend, quiet)?;
     Ok(VerbOutput { damaged: input.damaged || output.damaged, ..output })
 }
 
 fn train(
     args: &Train,
     input: &Input,
+    resumed: Option<Checkpoint>,
     delivery: Option<&DeliveryOptions>,
     backend: &Backend,
     quiet: Quiet,
@@ -118,7 +122,7 @@ fn train(
         output.json["checkpoint"] = plan.checkpoints(args).iter().map(|path| files::shown(path)).collect();
         output
     } else {
-        let (mut trainer, begun) = begin(args, &folder, dataset, backend)?;
+        let (mut trainer, begun) = begin(args, &folder, resumed, dataset, backend)?;
         check_length(args, &trainer, begun)?;
         let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
         log.notes.extend_from_slice(&input.notes);
@@ -142,13 +146,13 @@ fn left(args: &Train, plan: &Plan) -> VerbOutput {
 }
 
 /// The dataset that was named; if it was a scene, with the scene.
-fn load(args: &Train) -> Result<Input> {
+fn load(args: &Train, max_side: u32) -> Result<Input> {
     let path = Path::new(&args.input);
     let mut unknown = None;
     if path.is_dir() && !args.input.starts_with("synth:") {
         match dataset::read(path) {
             Err(error @ dataset::DatasetError::Unknown { .. }) => unknown = Some(error),
-            found => return photographs(args, found?),
+            found => return photographs(args, found?, max_side),
         }
     }
     let loaded = match (pipeline::import(&args.input, &args.scene), unknown) {
@@ -168,11 +172,15 @@ fn load(args: &Train) -> Result<Input> {
 }
 
 /// Photographs as they are trained on.
-fn photographs(args: &Train, mut dataset: Dataset) -> Result<Input> {
+fn photographs(args: &Train, mut dataset: Dataset, max_side: u32) -> Result<Input> {
     let mut notes = Vec::new();
     dataset.up = args.scene.up.map_or(dataset.up, Into::into);
     let applies = ["--fps", "--seed"];
-    let unused: Vec<_> = args.scene.scene_only().into_iter().filter(|name| !applies.contains(name)).collect();
+    let usual = rendered::RenderedOptions::default();
+    let of_renders = [("--cameras", args.cameras != usual.cameras), ("--side", args.side != usual.side)];
+    let of_renders = of_renders.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name);
+    let of_scenes = args.scene.scene_only().into_iter().filter(|name| !applies.contains(name));
+    let unused: Vec<&str> = of_scenes.chain(of_renders).collect();
     if !unused.is_empty() {
         notes.push(format!(
             "{}: are photographs; not used, being for scenes: {}",
@@ -180,13 +188,14 @@ fn photographs(args: &Train, mut dataset: Dataset) -> Result<Input> {
             unused.join(", ")
         ));
     }
-    let (dataset, trimmed) = dataset.trimmed(max_side(args, &Folder::of(&args.out))?);
+    let (dataset, trimmed) = dataset.trimmed(max_side);
     notes.extend(trimmed.map(|trimmed| {
         let ((width, height), (to_width, to_height)) = (trimmed.before, trimmed.after);
         format!(
-            "photographs of {width} x {height} pixels, {} of them, are cut to {to_width} x {to_height}, \
-             which can be halved",
-            trimmed.photographs
+            "{} photographs of {width} x {height} pixels are cut to {to_width} x {to_height}, which can be \
+             halved{}",
+            trimmed.photographs,
+            if trimmed.other_sizes > 0 { ", and those of other sizes likewise" } else { "" }
         )
     }));
     Ok(Input { scene: None, dataset, damaged: false, notes })
@@ -254,7 +263,7 @@ fn finish(
     }
     let seen = dataset.train.sample(dataset.test.photographs().len().max(GLANCE_VIEWS));
     figures.push(Figure {
-        what: some_of("training views", seen.photographs().len(), dataset.train.photographs().len()),
+        what: training_views(seen.photographs().len(), dataset.train.photographs().len()),
         found: train::evaluate(&shown, &seen, reduced, plain)?,
         seen: None,
     });
@@ -285,8 +294,8 @@ fn finish(
             options.variant.name()
         );
         output.json["updates"] = json!(updates);
-        output.json["registration"] = json!(folder.registration);
-        output.json["delivery"] = json!(folder.delivery);
+        output.json["registration"] = json!(files::shown(&folder.registration));
+        output.json["delivery"] = json!(files::shown(&folder.delivery));
     }
     for audit in &audits {
         output.text += &audit.text();
@@ -295,10 +304,10 @@ fn finish(
     Ok(output)
 }
 
-/// What figures of trained views are of: all of `all`, or `count` of them.
-fn some_of(what: &str, count: usize, all: usize) -> String {
-    let of = if count < all { format!(" ({count} of {all})") } else { String::new() };
-    format!("{what}{of}, as trained")
+/// The title of the figure of `count` training views of `all`.
+fn training_views(count: usize, all: usize) -> String {
+    let share = if count < all { format!(" ({count} of {all})") } else { String::new() };
+    format!("training views{share}, as trained")
 }
 
 /// Whether there are views, and pictures of all of them can be `reduced` times smaller.

@@ -167,8 +167,8 @@ pub(super) fn within_loss(
     Ok(Written { encoded, lost_db: Some(lost_db), notes: over.into_iter().collect() })
 }
 
-/// The stream of the size that `options` name: with the choices that the training has made its own, or where
-/// steps of motion alone do not lead there, with others.
+/// The stream of the size that `options` name: with the steps that the training has rounded by, or where
+/// steps of motion alone do not lead there, with steps of the encoder's own choice.
 fn to_size(
     scene: &Scene,
     decisions: &Decisions,
@@ -179,18 +179,10 @@ fn to_size(
         Ok(encoded) => return Ok(Written::plainly(encoded)),
         Err(error) => error,
     };
-    let free = EncodeOptions { target: None, ..options.clone() };
-    let (what, fits) = match (&error, options.target) {
-        // The choices of the training fit as they are.
-        (EncodeError::BlockTooLarge { .. }, Some(Target::Bytes(most))) => {
-            let plain = encode::again(scene, decisions, 1.0, &free, progress);
-            ("the usual steps of motion are", plain.ok().filter(|e| e.stream.wire_bytes() as u64 <= most))
-        }
-        _ => ("the encoder's own choices of steps are", None),
-    };
-    let encoded = match fits {
-        Some(encoded) => encoded,
-        None => encode::encode(scene, options, progress).context("cannot encode")?,
-    };
-    Ok(Written { notes: vec![format!("{error}; {what} taken instead")], ..Written::plainly(encoded) })
+    if !matches!(error, EncodeError::UnreachableByMotion { .. } | EncodeError::BlockTooLarge { .. }) {
+        return Err(error).context("cannot encode");
+    }
+    let encoded = encode::encode(scene, options, progress).context("cannot encode")?;
+    let notes = vec![format!("{error}; all steps are chosen anew for the size")];
+    Ok(Written { notes, ..Written::plainly(encoded) })
 }

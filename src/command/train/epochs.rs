@@ -22,7 +22,7 @@ use super::{
     log::Log,
     page::Ended,
     trained::Trained,
-    training::{DEFAULT_STEPS, begin, fit, options},
+    training::{DEFAULT_STEPS, begin, fit, options, resumed},
 };
 use crate::{args::train::Train, files, pipeline::Quiet, progress::Progress};
 
@@ -130,7 +130,8 @@ impl Plan {
             let (args, folder) = (self.args_of(args, &out, frames.len(), dataset.frames), Folder::of(&out));
             folder.open(&args)?;
             let part = rendered::part(dataset, scene, frames.clone());
-            let (mut trainer, begun) = begin(&args, &folder, &part, &backend)?;
+            let resumed = resumed(&args, &folder)?;
+            let (mut trainer, begun) = begin(&args, &folder, resumed, &part, &backend)?;
             let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
             let ended = fit(&args, &folder, &part, &mut trainer, begun, &mut log, stop, quiet)?;
             if ended.interrupted {

@@ -28,6 +28,11 @@ pub(super) fn epoch_folder(out: &Path, number: usize) -> PathBuf {
     out.join(format!("epoch-{number}"))
 }
 
+/// The folders of the epochs that the training in `out` has.
+fn epoch_folders(out: &Path) -> impl Iterator<Item = PathBuf> {
+    (0..).map(|number| epoch_folder(out, number)).take_while(|folder| folder.is_dir())
+}
+
 impl Folder {
     pub(super) fn of(out: &Path) -> Self {
         let file = |name: &str| out.join(name);
@@ -57,9 +62,19 @@ impl Folder {
         std::fs::create_dir_all(out)
             .with_context(|| format!("{}: cannot make this folder", out.display()))?;
         self.files().into_iter().try_for_each(files::check)?;
-        if !args.resume {
-            // What is left of another training would be taken for a part of this one.
-            self.clear(out)?;
+        let of_epochs = epoch_folders(out).map(|epoch| Self::of(&epoch)).collect::<Vec<_>>();
+        let all = || std::iter::once(self).chain(&of_epochs).flat_map(Self::files);
+        all().try_for_each(|file| files::check_apart(file, &[Path::new(&args.input)]))?;
+        if args.resume {
+            return Ok(());
+        }
+        // What is left of another training would be taken for a part of this one.
+        for file in all().filter(|file| file.is_file()) {
+            std::fs::remove_file(file).with_context(|| file.display().to_string())?;
+        }
+        for epoch in epoch_folders(out).collect::<Vec<_>>() {
+            // A folder in which somebody has put more stays.
+            let _ = std::fs::remove_dir(&epoch);
         }
         Ok(())
     }
@@ -68,25 +83,5 @@ impl Folder {
         let Self { checkpoint, stream, utility, epochs, log, preview, report, registration, delivery } = self;
         [checkpoint, stream, utility, epochs, log, preview, report, registration, delivery]
             .map(PathBuf::as_path)
-    }
-
-    /// Removes the files of a training, those of its epochs too.
-    fn clear(&self, out: &Path) -> Result<()> {
-        let remove = |path: &Path| -> Result<()> {
-            let found = path.is_file();
-            if found {
-                std::fs::remove_file(path).with_context(|| path.display().to_string())
-            } else {
-                Ok(())
-            }
-        };
-        self.files().into_iter().try_for_each(remove)?;
-        for epoch in (0..).map(|number| epoch_folder(out, number)).take_while(|folder| folder.is_dir()) {
-            let of_epoch = Self::of(&epoch);
-            of_epoch.files().into_iter().try_for_each(remove)?;
-            // A folder in which somebody has put more stays.
-            let _ = std::fs::remove_dir(&epoch);
-        }
-        Ok(())
     }
 }

@@ -31,35 +31,40 @@ pub(super) const DEFAULT_STEPS: u32 = 15_000;
 /// Views that quality during training is measured on, at most.
 pub(super) const GLANCE_VIEWS: usize = 8;
 
+/// The checkpoint to go on from, if one is; it has the options that are typed.
+pub(super) fn resumed(args: &Train, folder: &Folder) -> Result<Option<Checkpoint>> {
+    // A clip in several epochs has one in the folder of each.
+    if !args.resume || folder.epochs.is_file() {
+        return Ok(None);
+    }
+    let path = &folder.checkpoint;
+    if !path.is_file() {
+        bail!("{}: no such checkpoint; train without --resume first", path.display());
+    }
+    let failed = || path.display().to_string();
+    let checkpoint =
+        Checkpoint::from_bytes(&std::fs::read(path).with_context(failed)?).with_context(failed)?;
+    check_options(args, checkpoint.options())?;
+    Ok(Some(checkpoint))
+}
+
 /// A trainer on `backend`, at its start or at its checkpoint, and how far it had come.
 pub(super) fn begin<'d>(
     args: &Train,
     folder: &Folder,
+    resumed: Option<Checkpoint>,
     dataset: &'d Dataset,
     backend: &Backend,
 ) -> Result<(Trainer<'d>, f64)> {
-    if args.resume {
-        let path = &folder.checkpoint;
-        let failed = || path.display().to_string();
-        let bytes = std::fs::read(path).with_context(failed)?;
-        let checkpoint = Checkpoint::from_bytes(&bytes).with_context(failed)?;
+    if let Some(checkpoint) = resumed {
+        let failed = || folder.checkpoint.display().to_string();
         let progress = checkpoint.progress;
-        check_options(args, checkpoint.options())?;
         let rate = args.scene.fps.unwrap_or(checkpoint.frames_per_second);
         let trainer = checkpoint.resume(dataset).with_context(failed)?.on(backend)?;
         return Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), progress));
     }
     let trainer = Trainer::new(dataset, &options(args)?)?.on(backend)?;
     Ok((trainer.encoded_by(encoding_of(args, dataset, args.scene.frames_per_second())), 0.0))
-}
-
-/// Longest side of photographs: that of the checkpoint where one is resumed.
-pub(super) fn max_side(args: &Train, folder: &Folder) -> Result<u32> {
-    let resumed = args.resume.then(|| std::fs::read(&folder.checkpoint).ok()).flatten();
-    match resumed.and_then(|bytes| Checkpoint::from_bytes(&bytes).ok()) {
-        Some(checkpoint) => Ok(checkpoint.options().max_side),
-        None => Ok(options(args)?.max_side),
-    }
 }
 
 /// Refuses options that are others than those that the checkpoint goes on with.
@@ -96,7 +101,10 @@ fn check_options(args: &Train, resumed: &train::TrainOptions) -> Result<()> {
         others.push("--options");
     }
     if !others.is_empty() {
-        bail!("{}: --resume goes on with the checkpoint's, which are others", others.join(", "));
+        bail!(
+            "{}: not as in the checkpoint that --resume goes on from; leave out, or type as before",
+            others.join(", ")
+        );
     }
     Ok(())
 }

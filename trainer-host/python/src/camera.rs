@@ -4,7 +4,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 use numpy::PyArrayDyn;
 use pyo3::{prelude::*, types::PyType};
-use render_host::Camera as Pinhole;
+use render_host::{Camera as Pinhole, CameraError};
 
 use crate::{
     array::{Numbers, array},
@@ -31,7 +31,8 @@ fn size(width: i128, height: i128) -> PyResult<(u32, u32)> {
 fn of_matrices(viewmat: &[f64], k: &[f64], size: (u32, u32), near: f64) -> PyResult<Camera> {
     let matrix = std::array::from_fn(|row| std::array::from_fn(|column| viewmat[4 * row + column]));
     let k = std::array::from_fn(|row| std::array::from_fn(|column| k[3 * row + column]));
-    let camera = Pinhole::from_opencv(k, matrix, size.0, size.1).map_err(refused)?;
+    let named = |error: CameraError| refused(error.to_string().replace("world_to_camera", "viewmat"));
+    let camera = Pinhole::from_opencv(k, matrix, size.0, size.1).map_err(named)?;
     Ok(Camera(camera.with_near(near).map_err(refused)?))
 }
 

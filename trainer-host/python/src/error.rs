@@ -62,8 +62,9 @@ const NO_SUCH_FILE: i32 = 2;
 /// `value` of the argument called `field`, if its type holds it.
 pub fn whole<T: TryFrom<i128>>(field: &str, value: i128) -> PyResult<T> {
     T::try_from(value).map_err(|_| {
-        let bound = if value < 0 { "at least 0" } else { "fewer bits" };
-        refused(format!("{field} is {value}; a whole number of {bound} is wanted"))
+        let bound =
+            if value < 0 { "of at least 0".to_owned() } else { format!("below 2^{}", 8 * size_of::<T>()) };
+        refused(format!("{field} is {value}; a whole number {bound} is wanted"))
     })
 }
 

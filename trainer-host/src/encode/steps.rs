@@ -155,9 +155,12 @@ impl Grid {
     /// far from all others make the base coarse, not the whole scene.
     fn ratios(&self, step: f32, usual: [u8; 3]) -> [u8; 3] {
         let needed = self.least_base / step;
-        let wide = usual.iter().map(|&ratio| f32::from(ratio)).product::<f32>() >= needed;
+        if usual.iter().map(|&ratio| f32::from(ratio)).product::<f32>() >= needed {
+            return usual;
+        }
+        // The least odd number whose cube is enough.
         let each = 2 * (0.5 * (needed.cbrt() - 1.0)).ceil().clamp(1.0, 127.0) as u8 + 1;
-        if wide { usual } else { [each; 3] }
+        [each; 3]
     }
 }
 

@@ -5,7 +5,7 @@
 //! in others only lies behind or before it. Control nodes are spread where something moves, and all else
 //! stands still from the beginning.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 use render_host::{Camera, adjoint::loss::photograph::Photograph};
@@ -44,11 +44,16 @@ impl Changing {
         for view in views {
             fixed.entry(key(&view.camera)).or_default().push(view);
         }
-        fixed.retain(|_, views| views.len() >= LEAST_INSTANTS);
-        let enough = fixed.len() >= LEAST_CAMERAS;
-        let seen: Vec<Seen> =
-            fixed.into_values().collect::<Vec<_>>().into_par_iter().filter_map(|v| Seen::of(&v)).collect();
-        (enough && seen.iter().any(|seen| seen.changes.iter().any(|&changes| changes))).then_some(Self(seen))
+        let instants = |views: &[&PosedPhotograph]| -> usize {
+            views.iter().map(|view| view.time.to_bits()).collect::<BTreeSet<_>>().len()
+        };
+        fixed.retain(|_, views| instants(views) >= LEAST_INSTANTS);
+        if fixed.len() < LEAST_CAMERAS {
+            return None;
+        }
+        let fixed: Vec<Vec<&PosedPhotograph>> = fixed.into_values().collect();
+        let seen: Vec<Seen> = fixed.par_iter().filter_map(|views| Seen::of(views)).collect();
+        seen.iter().any(|seen| seen.changes.contains(&true)).then_some(Self(seen))
     }
 
     /// Whether something moves at `place`, as far as the cameras can tell.
@@ -68,7 +73,8 @@ impl Changing {
 fn key(camera: &Camera) -> Vec<u64> {
     let lens = camera.intrinsics();
     let numbers = camera.rotation().into_iter().flatten().chain(camera.translation());
-    numbers.chain([lens.fx, lens.fy, lens.cx, lens.cy]).map(f64::to_bits).collect()
+    let size = [lens.width, lens.height].map(f64::from);
+    numbers.chain([lens.fx, lens.fy, lens.cx, lens.cy]).chain(size).map(f64::to_bits).collect()
 }
 
 impl Seen {
@@ -126,6 +132,7 @@ fn means(photograph: &Photograph, side: usize, across: usize, down: usize) -> Ve
 #[cfg(test)]
 mod tests {
     use super::*;
+    use render_host::Intrinsics;
 
     /// Six cameras around a ball of grey that is in one of two places, before a wall of dots.
     fn views(moves: bool) -> Vec<PosedPhotograph> {
@@ -165,6 +172,14 @@ mod tests {
         let mut moving = views(true);
         moving.truncate(3);
         assert!(Changing::of(&moving).is_none());
+        let mut other_size = views(true);
+        let (width, height) = (112, 96);
+        let lens = Intrinsics { width, height, ..other_size[0].camera.intrinsics() };
+        let camera = &other_size[0].camera;
+        let camera = Camera::new(lens, camera.rotation(), camera.translation()).unwrap();
+        let photograph = Photograph::new(width, height, vec![0; 4 * 112 * 96]).unwrap();
+        other_size.push(PosedPhotograph { camera, photograph, ..other_size[0].clone() });
+        assert!(Changing::of(&other_size).unwrap().contains([0.8, 0.0, 0.0]), "a camera of its own");
         let one_each: Vec<_> = views(true).into_iter().step_by(4).collect();
         assert!(Changing::of(&one_each).is_none());
     }

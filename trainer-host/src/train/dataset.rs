@@ -1,8 +1,8 @@
 //! Reads datasets: photographs with cameras and times, from the layouts that the field uses.
 //!
-//! A folder with `transforms_train.json` is a Blender or D-NeRF one, with `transforms.json` one of
-//! Nerfstudio, with a reconstruction in `sparse/0`, `sparse` or `colmap/sparse/0` a COLMAP one, with
-//! `train_meta.json` a Panoptic one (Dynamic 3D Gaussians). Anything an importer reads becomes a dataset by
+//! The first of these that a folder has says what it is: `transforms_train.json` (Blender, D-NeRF), `sparse/0`
+//! (COLMAP), `transforms.json` (Nerfstudio), a reconstruction in `sparse` or `colmap/sparse/0` (COLMAP),
+//! `train_meta.json` (Panoptic of Dynamic 3D Gaussians). Anything an importer reads becomes a dataset by
 //! rendering it: see [`rendered`].
 
 mod blender;
@@ -23,11 +23,12 @@ use super::views::Dataset;
 /// # Errors
 /// A folder of no known layout; or a file, image, camera or time that is refused, by name.
 pub fn read(path: &Path) -> Result<Dataset, DatasetError> {
-    if ["transforms_train.json", "transforms.json"].iter().any(|name| path.join(name).is_file()) {
+    let (has, has_sparse) = (|name: &str| path.join(name).is_file(), path.join("sparse/0").is_dir());
+    if has("transforms_train.json") || (has("transforms.json") && !has_sparse) {
         blender::read(path)
-    } else if colmap::model(path).is_some() || path.join("sparse/0").is_dir() {
+    } else if has_sparse || colmap::model(path).is_some() {
         colmap::read(path)
-    } else if path.join("train_meta.json").is_file() {
+    } else if has("train_meta.json") {
         panoptic::read(path)
     } else {
         Err(DatasetError::Unknown { path: path.to_owned() })

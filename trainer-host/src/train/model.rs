@@ -96,6 +96,9 @@ impl Model {
     /// nearest to them over the clip. Where it is known in which space something moves, Gaussians outside of
     /// it stand still.
     pub(super) fn spread_nodes(&mut self, count: usize, changing: Option<&Changing>) {
+        // A space that no Gaussian is in does not tell which of them move.
+        let is_in = |changing: &&Changing| self.gaussians.positions().iter().any(|&p| changing.contains(p));
+        let changing = changing.filter(is_in);
         if let Some(changing) = changing {
             self.follow_where(changing);
         }

@@ -8,6 +8,9 @@ use super::{schedule::Sizes, views::PosedPhotograph};
 /// Share of a photograph's width that is kept around its outline.
 const MARGIN: f64 = 0.05;
 
+/// Most times that photographs are reduced.
+pub(super) const MOST_REDUCED: u32 = 64;
+
 /// Photographs at several sizes, coarsest first.
 #[derive(Debug)]
 pub(super) struct Pyramid<'a> {
@@ -26,9 +29,8 @@ impl<'a> Pyramid<'a> {
     pub(super) fn new(originals: &'a [PosedPhotograph], max_side: u32) -> Self {
         let sides = || originals.iter().flat_map(|view| [view.photograph.width(), view.photograph.height()]);
         let common = sides().fold(0, greatest_common_divisor);
-        let longest = sides().max().unwrap_or(1);
-        let divides = |by: &u32| common.is_multiple_of(*by);
-        let base = (1..=64).filter(divides).find(|by| longest / by <= max_side).unwrap_or(1);
+        let most = || (1..=MOST_REDUCED).rev().find(|by| common.is_multiple_of(*by)).unwrap_or(1);
+        let base = exact_reduction(sides(), max_side).unwrap_or_else(most);
         // Reductions that fit the greatest common divisor fit every side.
         let shortest = sides().min().unwrap_or(1);
         let sizes = Sizes::of(common / base, shortest / base);
@@ -79,6 +81,14 @@ impl<'a> Pyramid<'a> {
     pub(super) fn outline(&self, view: usize, size: usize) -> [u32; 4] {
         self.outlines[view][size]
     }
+}
+
+/// The least whole number that divides every side and leaves none longer than `max_side`, if there is one.
+pub(super) fn exact_reduction(sides: impl Iterator<Item = u32> + Clone, max_side: u32) -> Option<u32> {
+    let common = sides.clone().fold(0, greatest_common_divisor);
+    let longest = sides.max().unwrap_or(1);
+    let divides = |by: &u32| common.is_multiple_of(*by);
+    (1..=MOST_REDUCED).filter(divides).find(|by| longest / by <= max_side)
 }
 
 fn greatest_common_divisor(a: u32, b: u32) -> u32 {

@@ -105,6 +105,7 @@ impl<'a> Trainer<'a> {
         let gaussians = TrainedGaussians::new(&begun, options.degree());
         let count = gaussians.len();
         let nodes = ControlNodes::none(TemporalBasis::default(), extent.half_side as f32);
+        let moves = options.nodes > 0 && !dataset.has_alpha;
         let footprint = *options.footprint.get_or_insert(dataset.footprint);
         let model = Model { gaussians, nodes, followed: vec![None; count], footprint };
         let state = State::begun(model);
@@ -115,7 +116,7 @@ impl<'a> Trainer<'a> {
             has_alpha: dataset.has_alpha,
             pyramid: Pyramid::new(photographs, options.max_side),
             options,
-            changing: (!dataset.has_alpha).then(|| Changing::of(photographs)).flatten(),
+            changing: moves.then(|| Changing::of(photographs)).flatten(),
             region: Region { extent, free_space: &dataset.free_space },
             fallback: state.clone(),
             finisher: Finisher::new(encoding, &state.model.gaussians),

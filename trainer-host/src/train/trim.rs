@@ -1,90 +1,79 @@
 //! Trims photographs whose sides reductions do not divide.
 
+use std::collections::BTreeMap;
+
 use render_host::adjoint::loss::photograph::Photograph;
 
 use super::{
+    photographs::{MOST_REDUCED, exact_reduction},
     schedule::LEAST_SIDE,
-    views::{Dataset, PosedPhotograph, Views},
+    views::{Dataset, PosedPhotograph},
 };
 
-/// What was trimmed: a size before and after, and how many photographs had it.
+/// What was cut: the size of most photographs that were, before and after.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Trimmed {
     /// Width and height before, pixels.
     pub before: (u32, u32),
     /// Width and height after, pixels.
     pub after: (u32, u32),
-    /// Photographs of the first such size.
+    /// Photographs of this size, of all splits.
     pub photographs: usize,
+    /// Other sizes that were cut besides, of fewer photographs.
+    pub other_sizes: usize,
 }
 
 impl Dataset {
-    /// The same with photographs that can be reduced so that no side is longer than `max_side`, and then by
-    /// half again and again: what does not divide is cut off at the right and at the bottom, 15 of 1,000
-    /// pixels at most. Photographs that divide are left as they are.
+    /// The same with photographs that can be reduced so that no side is longer than `max_side` pixels, and
+    /// then by half again and again: what does not divide is cut off at the right and at the bottom, fewer
+    /// pixels than a 64th of the shortest side, or than photographs are reduced by. Photographs that divide
+    /// stay as they are.
     pub fn trimmed(mut self, max_side: u32) -> (Self, Option<Trimmed>) {
-        let sides = |views: &[PosedPhotograph]| -> Vec<u32> {
-            views.iter().flat_map(|view| [view.photograph.width(), view.photograph.height()]).collect()
+        let views = || {
+            let splits = [self.train.photographs(), self.validation.photographs(), self.test.photographs()];
+            splits.into_iter().flatten().map(|view| (view.photograph.width(), view.photograph.height()))
         };
-        let all: Vec<u32> =
-            [self.train.photographs(), self.validation.photographs(), self.test.photographs()]
-                .into_iter()
-                .flat_map(sides)
-                .collect();
-        let by = divisor(&all, max_side.max(1));
-        let cut =
-            |view: &PosedPhotograph| (view.photograph.width() % by, view.photograph.height() % by) != (0, 0);
-        let first = self.train.photographs().iter().find(|view| cut(view));
-        let report = first.map(|view| {
-            let before = (view.photograph.width(), view.photograph.height());
-            let same =
-                |other: &&PosedPhotograph| (other.photograph.width(), other.photograph.height()) == before;
-            Trimmed {
-                before,
-                after: (before.0 / by * by, before.1 / by * by),
-                photographs: self.train.photographs().iter().filter(same).count(),
-            }
-        });
-        self.train = trimmed(&self.train, by);
-        self.validation = trimmed(&self.validation, by);
-        self.test = trimmed(&self.test, by);
-        (self, report)
+        let by = divisor(&views().flat_map(|(width, height)| [width, height]).collect::<Vec<_>>(), max_side);
+        let mut cut: BTreeMap<(u32, u32), usize> = BTreeMap::new();
+        for size in views().filter(|(width, height)| width % by != 0 || height % by != 0) {
+            *cut.entry(size).or_default() += 1;
+        }
+        let Some((&before, &photographs)) = cut.iter().max_by_key(|(_, count)| **count) else {
+            return (self, None);
+        };
+        let after = (before.0 / by * by, before.1 / by * by);
+        let report = Trimmed { before, after, photographs, other_sizes: cut.len() - 1 };
+        self.train = self.train.map(|view| trimmed(view, by));
+        self.validation = self.validation.map(|view| trimmed(view, by));
+        self.test = self.test.map(|view| trimmed(view, by));
+        (self, Some(report))
     }
 }
 
-/// What every side is to be a multiple of: 1 where sides are too short for that.
+/// What every side is to be a multiple of: 1 where nothing has to be cut, or sides are too short for that.
 fn divisor(sides: &[u32], max_side: u32) -> u32 {
     let (Some(&longest), Some(&shortest)) = (sides.iter().max(), sides.iter().min()) else { return 1 };
-    let common = sides.iter().fold(0, |a, &b| greatest_common_divisor(a, b));
-    let reduces = |by: &u32| longest / by <= max_side;
-    if (1..=64).filter(|by| common.is_multiple_of(*by)).any(|by| reduces(&by)) {
+    if exact_reduction(sides.iter().copied(), max_side).is_some() {
         return 1;
     }
-    let base = (1..=64).find(reduces).unwrap_or(64);
+    let base = (1..=MOST_REDUCED).find(|by| longest / by <= max_side).unwrap_or(MOST_REDUCED);
     let halves = [8, 4, 2].into_iter().find(|by| shortest / base / by >= LEAST_SIDE).unwrap_or(1);
     if shortest / base == 0 { 1 } else { base * halves }
 }
 
-fn greatest_common_divisor(a: u32, b: u32) -> u32 {
-    if b == 0 { a } else { greatest_common_divisor(b, a % b) }
-}
-
-/// `views` cut to multiples of `by`.
-fn trimmed<Split>(views: &Views<Split>, by: u32) -> Views<Split> {
-    views.map(|view| {
-        let (width, height) = (view.photograph.width() / by * by, view.photograph.height() / by * by);
-        let is_whole = (width, height) == (view.photograph.width(), view.photograph.height());
-        if is_whole {
-            return view.clone();
-        }
-        let row = 4 * view.photograph.width() as usize;
-        let rows = view.photograph.rgba().chunks_exact(row).take(height as usize);
-        let rgba: Vec<u8> = rows.flat_map(|row| &row[..4 * width as usize]).copied().collect();
-        match (Photograph::new(width, height, rgba), view.camera.cropped(0, 0, width, height)) {
-            (Ok(photograph), Ok(camera)) => PosedPhotograph { photograph, camera, ..view.clone() },
-            _ => view.clone(),
-        }
-    })
+/// `view` cut to multiples of `by`.
+fn trimmed(view: PosedPhotograph, by: u32) -> PosedPhotograph {
+    let (width, height) = (view.photograph.width() / by * by, view.photograph.height() / by * by);
+    if (width, height) == (view.photograph.width(), view.photograph.height()) {
+        return view;
+    }
+    let row = 4 * view.photograph.width() as usize;
+    let rows = view.photograph.rgba().chunks_exact(row).take(height as usize);
+    let rgba: Vec<u8> = rows.flat_map(|row| &row[..4 * width as usize]).copied().collect();
+    match (Photograph::new(width, height, rgba), view.camera.cropped(0, 0, width, height)) {
+        (Ok(photograph), Ok(camera)) => PosedPhotograph { photograph, camera, ..view },
+        _ => view,
+    }
 }
 
 #[cfg(test)]
@@ -92,7 +81,7 @@ mod tests {
     use super::*;
     use crate::{
         scene::Up,
-        train::{FreeSpace, Start},
+        train::{FreeSpace, Start, Views},
     };
     use codec_core::Footprint;
     use render_host::Camera;
@@ -123,7 +112,7 @@ mod tests {
     fn odd_sides_are_cut_so_that_they_can_be_reduced_and_pixels_stay_in_place() {
         let (cut, report) = dataset(&[(641, 479), (641, 479)]).trimmed(100);
         let report = report.unwrap();
-        assert_eq!((report.before, report.after, report.photographs), ((641, 479), (637, 476), 2));
+        assert_eq!((report.before, report.after, report.photographs), ((641, 479), (637, 476), 3));
         let view = &cut.train.photographs()[0];
         assert_eq!((view.camera.width(), view.photograph.width(), view.photograph.height()), (637, 637, 476));
         assert_eq!(view.photograph.rgba()[4 * (637 + 3)], 3, "column 3 of row 1");

@@ -101,9 +101,9 @@ impl<Split> Views<Split> {
         Self { photographs, split: PhantomData }
     }
 
-    /// Each as `change` makes it, of a size with its camera and at a time of the clip still.
-    pub(super) fn map(&self, change: impl Fn(&PosedPhotograph) -> PosedPhotograph + Sync + Send) -> Self {
-        Self { photographs: self.photographs.par_iter().map(change).collect(), split: PhantomData }
+    /// Each changed; `change` must leave it the size of its camera, and its time.
+    pub(super) fn map(self, change: impl Fn(PosedPhotograph) -> PosedPhotograph + Sync + Send) -> Self {
+        Self { photographs: self.photographs.into_par_iter().map(change).collect(), split: PhantomData }
     }
 
     /// Those of some frames of a clip of `count`, as views of a clip of only these.
@@ -148,7 +148,7 @@ pub struct FreeSpace {
 
 impl FreeSpace {
     /// What is nearer than `distance`, in scene units, to one of `cameras`, in directions whose angle to its
-    /// optical axis has at least this `cosine`.
+    /// optical axis has at least this `cosine`, -1 to 1.
     pub fn before(cameras: Vec<Camera>, distance: f64, cosine: f64) -> Self {
         Self { cameras, distance, cosine }
     }

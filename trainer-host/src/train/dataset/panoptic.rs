@@ -25,8 +25,8 @@ use crate::{
 const POINTS: usize = 20_000;
 /// Most points drawn until there are so many.
 const MOST_DRAWS: usize = 4 * POINTS;
-/// Nothing nearer to a camera, in metres, is drawn: cameras hang in the walls of a dome, and what training
-/// puts between two of them nobody corrects. Source: Dynamic 3D Gaussians, train.py.
+/// Nothing nearer to a camera, in metres, is drawn, as viewers of splats do (`p_view.z <= 0.2` in the
+/// rasteriser of 3DGS), so that they show what was trained.
 const NEAR: f64 = 0.2;
 /// What is this near to a camera and before it, in all of the cameras' reach, would hide the scene from
 /// cameras between those that are trained on, where nothing tells that it is not there.
@@ -130,11 +130,14 @@ fn free_space(views: &[PosedPhotograph]) -> FreeSpace {
 
 /// Grey points all over the place that the cameras stand around, and beyond it, but not in free space.
 fn points_inside(views: &[PosedPhotograph], free_space: &FreeSpace) -> Vec<ColouredPoint> {
+    let mut points = Vec::new();
+    if views.is_empty() {
+        return points;
+    }
     let bounds = bounds(views);
     let reach = reach(bounds);
     let mut rng = Pcg64Mcg::seed_from_u64(1);
-    let mut points = Vec::new();
-    for _ in 0..if views.is_empty() { 0 } else { MOST_DRAWS } {
+    for _ in 0..MOST_DRAWS {
         let place = bounds.map(|(low, high)| {
             let middle = 0.5 * (low + high);
             (middle + 1.3 * reach * (2.0 * rng.random::<f64>() - 1.0)) as f32
