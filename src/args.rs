@@ -294,9 +294,10 @@ pub struct StreamArgs {
     /// Scheduler.
     #[arg(long, value_enum, default_value_t = PolicyName::DeadlineUtility)]
     pub policy: PolicyName,
-    /// An emulated link in the words of `dgs serve --impair`, in place of the options below: a capacity
-    /// trace, or a list of loss=5%, burst=PACKETS, rate=5mbit, delay=40ms (both ways), jitter=5ms,
-    /// queue=250ms, trace=FILE, seed=1. What the receiver sends comes over 2 Mbit/s.
+    /// An emulated link in the words of `dgs serve --impair`, in place of the options of the link but for
+    /// --controller and --transport: a capacity trace, or a list of loss=5%, burst=PACKETS, rate=5mbit,
+    /// delay=40ms (both ways), jitter=5ms, queue=250ms, trace=FILE, seed=1. What the receiver sends comes
+    /// over 2 Mbit/s.
     #[arg(
         long, value_name = "LINK",
         conflicts_with_all = [

@@ -47,7 +47,7 @@ impl VerbOutput {
 pub fn parse<T: Parser>() -> Result<T, ExitCode> {
     T::try_parse().map_err(|error| {
         if error.use_stderr() {
-            // Where nobody can be told, the status still says it.
+            // Where standard error is closed, the exit status still says it.
             let _ = error.print();
             return ExitCode::from(USAGE);
         }
@@ -81,7 +81,7 @@ pub fn finish(said: Result<VerbOutput>, json: bool) -> ExitCode {
 pub(crate) fn finish_beside_data(said: Result<VerbOutput>) -> ExitCode {
     let print = |said: VerbOutput| {
         said.complain();
-        // Where nobody can be told, nobody is.
+        // Where standard error is closed too, nothing is left to say it on.
         let _ = io::stderr().write_all(said.text.as_bytes());
         Ok(ExitCode::from(if said.damaged { DAMAGED } else { 0 }))
     };
@@ -121,7 +121,7 @@ fn refuse(error: &anyhow::Error) -> ExitCode {
     ExitCode::from(REFUSED)
 }
 
-/// One line on standard error. Where nobody can be told, nobody is.
+/// One line on standard error; nothing where that is closed.
 pub(crate) fn complain(line: &str) {
     let _ = writeln!(io::stderr(), "dgs: {line}");
 }

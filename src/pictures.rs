@@ -42,10 +42,10 @@ pub enum StillFormat {
 }
 
 impl StillFormat {
-    fn encode_transparent(self, path: &Path, over_black: &Image, over_white: &Image) -> Result<Vec<u8>> {
+    fn encode_transparent(self, path: &Path, picture: &Image, transmittance: &[f32]) -> Result<Vec<u8>> {
         Ok(match self {
-            Self::Png => over_black.to_transparent_png(over_white)?,
-            Self::Webp => over_black.to_transparent_webp(over_white)?,
+            Self::Png => picture.to_transparent_png(transmittance)?,
+            Self::Webp => picture.to_transparent_webp(transmittance)?,
             Self::Jpeg => bail!("{}: JPEG holds no transparency", path.display()),
         })
     }
@@ -214,30 +214,30 @@ impl<'a> PictureWriter<'a> {
         }
     }
 
-    /// As [`PictureWriter::add`], of a picture that may be transparent: all of them, or none. It is
-    /// given as it looks over black and over white.
+    /// As [`PictureWriter::add`], of a picture over black with the share of the background that shows at each
+    /// pixel: of all pictures, or of none.
     ///
     /// # Errors
     /// As [`PictureWriter::add`]; what [`PictureOutput::check_transparent`] refuses.
-    pub fn add_transparent(&mut self, name: &str, over_black: &Image, over_white: &Image) -> Result<()> {
+    pub fn add_transparent(&mut self, name: &str, picture: &Image, transmittance: &[f32]) -> Result<()> {
         let failed = || format!("{}: picture {name}", self.path.display());
         if let Sink::Unbegun(output) = self.sink {
             output.check_transparent(self.path)?;
             let mut pending = PendingFile::begin(self.path)?;
             let (file, pictures) = (pending.file().try_clone()?, u32::try_from(self.run.pictures)?);
             let rate = self.run.frames_per_second;
-            let animation = Animation::begin_transparent(file, over_black.size(), pictures, rate)?;
+            let animation = Animation::begin_transparent(file, picture.size(), pictures, rate)?;
             self.sink = Sink::Animation(pending, Box::new(animation));
         }
         match &mut self.sink {
             Sink::Still(format) => {
-                files::write(self.path, &format.encode_transparent(self.path, over_black, over_white)?)
+                files::write(self.path, &format.encode_transparent(self.path, picture, transmittance)?)
             }
             Sink::Folder(folder) => {
-                folder.add(format!("{name}.png"), &over_black.to_transparent_png(over_white)?)
+                folder.add(format!("{name}.png"), &picture.to_transparent_png(transmittance)?)
             }
             Sink::Animation(_, animation) => {
-                animation.add_transparent(over_black, over_white).with_context(failed)
+                animation.add_transparent(picture, transmittance).with_context(failed)
             }
             Sink::Video(_) | Sink::Unbegun(_) => bail!("{}: holds no transparency", self.path.display()),
         }

@@ -142,8 +142,8 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
 
 /// What a person should know who typed options of other formats than that of the scene at `path`.
 fn unused_in_format(path: &Path, args: &SceneArgs) -> Option<String> {
-    // Files are read again only where anything can be unused.
-    if args.scene_only().is_empty() {
+    // Files are read again only where anything can be unused; every format has frames.
+    if args.scene_only().iter().all(|&option| option == "--fps") {
         return None;
     }
     let format = import::Format::of(path)?;

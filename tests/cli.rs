@@ -159,11 +159,11 @@ fn a_stream_is_sent_over_a_described_link() {
         "{text}"
     );
     let json: serde_json::Value = serde_json::from_str(&stream(&[&lossy[..], &["--json"]].concat())).unwrap();
-    let (lost, delay) = (&json["lost_packets"], &json["one_way_delay_ms"]);
+    let (lost, delay) = (&json["lost_datagrams"], &json["one_way_delay_ms"]);
     let count = |key: &str| lost[key].as_u64().unwrap();
     assert!(count("way") > 0, "{json}");
     let said = format!(
-        "lost {} packets: {} in the queue, {} on",
+        "lost {} datagrams: {} in the queue, {} on",
         count("way") + count("queue"),
         count("queue"),
         count("way")

@@ -156,10 +156,10 @@ fn an_interrupted_training_goes_on_to_the_same_bytes() {
     fs::write(at.join("whole/delivery.json"), "{}").unwrap();
     let error = refused(at, &["-o", "whole", "--overwrite", "--options", "nowhere.json"]);
     assert!(error.contains("nowhere.json") && at.join("whole/scene.dgs").exists(), "{error}");
-    let own = ["train", "whole/scene.dgs", "-o", "whole", "--overwrite", "--delivery", "iid"];
+    let own = ["train", "whole/checkpoint.dgst", "-o", "whole", "--overwrite", "--delivery", "iid"];
     let output = Command::new(env!("CARGO_BIN_EXE_dgs")).current_dir(at).args(own).output().unwrap();
     let error = String::from_utf8(output.stderr).unwrap();
-    assert!(error.contains("scene.dgs: is read or written besides"), "{error}");
+    assert!(error.contains("checkpoint.dgst: is read or written besides"), "{error}");
     assert!(at.join("whole/scene.dgs").exists());
     ok(at, &["-o", "whole", "--overwrite"]);
     assert!(!at.join("whole/epoch-0").exists() && !at.join("whole/delivery.json").exists());

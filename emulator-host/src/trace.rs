@@ -17,7 +17,7 @@ mod steps;
 mod two_column;
 mod ucc;
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use crate::clock::{Bytes, Nanos, Rate};
 
@@ -319,14 +319,7 @@ impl Trace {
         const BIN: Nanos = Nanos::from_ms(20);
         let steps: Vec<Step> = match &self.shape {
             Shape::Steps(steps) => steps.to_vec(),
-            Shape::Opportunities(_) => (0..self.period.0.div_ceil(BIN.0))
-                .map(|bin| {
-                    let at = BIN.times(bin);
-                    let end = (at + BIN).min(self.period);
-                    let bytes = self.bytes_until(end) - self.bytes_until(at);
-                    Step { at, rate: Rate::over(bytes, end - at) }
-                })
-                .collect(),
+            Shape::Opportunities(times) => self.binned(times, BIN),
         };
         let steps =
             steps.into_iter().map(|step| Step { rate: step.rate.scaled(numerator, denominator), ..step });
@@ -334,6 +327,27 @@ impl Trace {
         scaled.warnings.clone_from(&self.warnings);
         scaled.base_rtt = self.base_rtt;
         Ok(scaled)
+    }
+
+    /// The rates of opportunities over bins of `width`; of a run of bins without any there is one step.
+    fn binned(&self, times: &[Nanos], width: Nanos) -> Vec<Step> {
+        // A bin has what comes after its start up to its end; what is at zero is at the end of the period.
+        let mut bins: BTreeMap<u64, u64> = BTreeMap::new();
+        for time in times {
+            let time = if time.0 == 0 { self.period } else { *time };
+            *bins.entry((time.0 - 1) / width.0).or_default() += u64::from(OPPORTUNITY_BYTES);
+        }
+        let mut steps = vec![Step { at: Nanos::ZERO, rate: Rate(0) }];
+        for (bin, bytes) in bins {
+            let at = width.times(bin);
+            let end = (at + width).min(self.period);
+            // Of two steps at one time the later one holds.
+            steps.push(Step { at, rate: Rate::over(Bytes(bytes), end - at) });
+            if end < self.period {
+                steps.push(Step { at: end, rate: Rate(0) });
+            }
+        }
+        steps
     }
 
     /// The part of `length` from `offset` on, going round at the end, as a trace with period `length`.

@@ -116,13 +116,13 @@ impl<W: Write> Animation<W> {
         Ok(Self { encoder: Encoder::Apng(Box::new(writer)), size, left: pictures })
     }
 
-    /// Adds the next picture, which may be transparent: see [`Image::to_rgba8`].
+    /// Adds the next picture, over black, with alpha: see [`Image::to_rgba8`].
     ///
     /// # Errors
     /// As [`Animation::add`], and an animation that was not begun for such pictures.
-    pub fn add_transparent(&mut self, over_black: &Image, over_white: &Image) -> Result<(), ImageError> {
-        self.count(over_black.size())?;
-        let rgba = over_black.to_rgba8(over_white)?;
+    pub fn add_transparent(&mut self, picture: &Image, transmittance: &[f32]) -> Result<(), ImageError> {
+        self.count(picture.size())?;
+        let rgba = picture.to_rgba8(transmittance)?;
         match &mut self.encoder {
             Encoder::Apng(writer) => writer.write_image_data(&rgba).map_err(codec),
             Encoder::Gif { .. } => Err(codec("a GIF holds no transparency here")),

@@ -38,7 +38,7 @@ pub struct Bounds {
 }
 
 impl Rgba8 {
-    /// Decodes PNG, JPEG or WebP bytes; the format is told by the first bytes.
+    /// Decodes PNG, JPEG or WebP bytes; the format is detected from the first bytes.
     ///
     /// # Errors
     /// [`FileError`]: another format, damage, or a picture beyond `bounds`.

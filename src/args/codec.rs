@@ -14,6 +14,9 @@ const PACKET_BYTES: usize = 1150;
 /// Least target PSNR, dB: above 0.
 const MIN_PSNR_DB: f64 = 1e-3;
 
+/// Options that only profile `dgs1` has.
+const OF_DGS1: [&str; 4] = ["--pictures", "--block-len", "--window-frames", "--packet-bytes"];
+
 /// How to encode.
 #[derive(Clone, Debug, Args)]
 pub struct CodecArgs {
@@ -78,7 +81,7 @@ pub struct CodecArgs {
 }
 
 impl CodecArgs {
-    /// The options that were given another value than where nothing is said.
+    /// The options that differ from their defaults.
     pub fn typed(&self) -> Vec<&'static str> {
         let options = [
             ("--profile", self.profile != ProfileName::Dgs1),
@@ -99,16 +102,12 @@ impl CodecArgs {
         options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
     }
 
-    /// The options that were given and mean nothing to the profile.
+    /// The options that differ from their defaults and mean nothing to the profile.
     pub fn unused(&self) -> Vec<&'static str> {
-        let options = [
-            ("--pictures", self.pictures != PICTURES),
-            ("--block-len", self.block_len != BLOCK_LEN),
-            ("--window-frames", self.window_frames.is_some()),
-            ("--packet-bytes", self.packet_bytes != PACKET_BYTES),
-        ];
-        let is_unused = |typed: bool| typed && self.profile != ProfileName::Dgs1;
-        options.into_iter().filter(|(_, typed)| is_unused(*typed)).map(|(name, _)| name).collect()
+        if self.profile == ProfileName::Dgs1 {
+            return Vec::new();
+        }
+        self.typed().into_iter().filter(|name| OF_DGS1.contains(name)).collect()
     }
 }
 

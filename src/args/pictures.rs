@@ -96,10 +96,10 @@ pub enum RenderBackground {
 
 /// `dgs compare`.
 ///
-/// Scenes and streams are rendered from the same cameras, in the coordinates of B; of two scenes that have
-/// different directions up, A is turned. Pictures are compared with pictures of the same names, or in the
-/// order of their names where none is the same; or with renders: of the cameras that `dgs render` takes, or
-/// those that are typed, by name where names say and else in order.
+/// Scenes and streams are rendered from the same cameras, in the coordinates of B; of two sides that have
+/// different directions up, A is turned if it is a scene. Pictures are compared with pictures of the same
+/// names, or in the order of their names where none is the same; or with renders: of the cameras that
+/// `dgs render` takes, or those that are typed, by name where names say and else in order.
 #[derive(Debug, Args)]
 pub struct Compare {
     /// What is looked at: a scene, a .dgs file (- is one at standard input), a picture, or a folder of

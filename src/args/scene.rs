@@ -64,7 +64,7 @@ impl SceneArgs {
         self.seed.unwrap_or(SEED)
     }
 
-    /// The options that were given.
+    /// The options that differ from their defaults.
     pub fn typed(&self) -> Vec<&'static str> {
         let options = [
             ("--keep-readable", self.keep_readable),

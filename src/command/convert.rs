@@ -84,7 +84,7 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
 
 /// The scene of `input`; a stream is decoded.
 fn read(input: &str, args: &SceneArgs, warn: &mut dyn FnMut(String)) -> Result<Scene> {
-    let last = Level::from_bits(3);
+    let last = Level::HIGHEST;
     let mut frames = match Frames::open(input, args, last, warn)? {
         Frames::Scene(scene) => return Ok(*scene),
         stream @ Frames::Stream { .. } => stream,

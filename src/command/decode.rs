@@ -1,6 +1,6 @@
 //! Decodes a `.dgs` file to frames that other programs read, or to the digest of what it holds.
 
-use std::ops::Range;
+use std::ops::RangeInclusive;
 
 use anyhow::Result;
 use codec_core::{
@@ -62,7 +62,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
     });
     let mut notes = Vec::new();
     if args.digest {
-        let range = args.frame.map_or(0..frames.count(), |frame| frame..frame.saturating_add(1));
+        let range = args.frame.map_or(0..=frames.count().saturating_sub(1), |frame| frame..=frame);
         let digest = format!("{:016x}", digest(&mut frames, range)?);
         let of = args.frame.map_or(String::new(), |frame| format!(" of frame {frame}"));
         text += &format!("digest{of} {digest}\n");
@@ -99,8 +99,8 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
     Ok(VerbOutput { text, json, warnings, damaged })
 }
 
-/// The digest of the frames in `range`; of all frames it is what conformance is told by.
-fn digest(frames: &mut Frames, range: Range<u32>) -> Result<u64> {
+/// The digest of the frames in `range`. Over all frames it is the digest that the conformance streams list.
+fn digest(frames: &mut Frames, range: RangeInclusive<u32>) -> Result<u64> {
     let mut digest = Digest::new();
     for frame in range {
         let instant = frames.instant(frame)?;

@@ -118,7 +118,9 @@ fn after_the_end(bytes: &[u8]) -> usize {
                 // Its mark and name, so many offsets, their checksum and the index's length.
                 let count = bytes.get(at + 6..at + 10).and_then(|count| count.try_into().ok());
                 let offsets = count.map_or(0, u32::from_le_bytes) as usize;
-                return bytes.len().saturating_sub(at + 18 + 4 * offsets);
+                let end = at.saturating_add(18).saturating_add(offsets.saturating_mul(4));
+                let is_index = bytes.get(..end).is_some_and(|file| file::index(file, crc32).is_ok());
+                return if is_index { bytes.len() - end } else { 0 };
             }
         }
     }
@@ -142,7 +144,7 @@ impl StreamFacts {
         let head = manifest.head();
         let gaussians: u64 = manifest.epochs().map(|epoch| u64::from(epoch.gaussians)).sum();
         let wire_bytes = stream.wire_bytes();
-        let mut frames = Frames::of_stream(stream.receive()?, Level::from_bits(3), None);
+        let mut frames = Frames::of_stream(stream.receive()?, Level::HIGHEST, None);
         let mut bounds: Option<[[f32; 3]; 2]> = None;
         for frame in Framing::sampled(frames.count() as usize) {
             let instant = frames.instant(frame as u32)?;

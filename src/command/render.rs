@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
-use render_host::{Backend, Camera, Settings, Splats};
+use render_host::{Backend, Camera, Splats};
 use serde_json::json;
 
 use crate::{
@@ -18,9 +18,6 @@ use crate::{
 
 /// Width and height of pictures where nothing else says, pixels.
 const SIZE: (u32, u32) = (512, 512);
-
-/// Highest level of a stream: that of all of it.
-const LAST_LEVEL: u8 = 3;
 
 /// An image to make.
 struct Picture {
@@ -69,14 +66,11 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
         let rendered = renderer.render(&splats, &picture.camera, &settings)?;
         counters = Some(rendered.counters);
-        if !is_transparent {
+        if is_transparent {
+            writer.add_transparent(&picture.name, &rendered.image, &rendered.transmittance)?;
+        } else {
             writer.add(&picture.name, &rendered.image)?;
-            continue;
         }
-        let over_black = rendered.image.clone();
-        let over_white = Settings { background: [1.0; 3], ..settings.clone() };
-        let over_white = &renderer.render(&splats, &picture.camera, &over_white)?.image;
-        writer.add_transparent(&picture.name, &over_black, over_white)?;
     }
     // Of a video, the last pictures are still to be coded.
     progress.stage("finishing", 1.0);
@@ -101,11 +95,11 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     Ok(VerbOutput { text, json, warnings, damaged })
 }
 
-/// What a person should know whose options mean nothing to the scene or to what is written.
+/// Notes on options that have no effect on this scene or output.
 fn unused(args: &Render, frames: &Frames, output: PictureOutput) -> Vec<String> {
     let input = &args.input;
     let mut notes = Vec::new();
-    if matches!(frames, Frames::Scene(_)) && args.level != LAST_LEVEL {
+    if matches!(frames, Frames::Scene(_)) && args.level != Level::HIGHEST.get() {
         notes.push(format!("{input}: is a scene; not used, being for streams: --level"));
     }
     if args.rate.is_some() && !output.is_moving() {
@@ -152,20 +146,16 @@ fn pictures(args: &Render, frames: &mut Frames, single: bool) -> Result<(Vec<Pic
     if pictures.is_empty() {
         bail!("--frames: no camera shows a frame that is chosen");
     }
-    Ok((pictures, if is_list { found.description } else { found.of_first() }))
+    let description = if is_list { found.of_frames(args.frames) } else { found.of_first() };
+    Ok((pictures, description))
 }
 
 /// The image of one camera: at the frame typed, else at its own; cameras that play along do so over the
 /// frames that are chosen.
 fn picture(args: &Render, found: &Viewpoints, index: usize, chosen: &Chosen) -> Result<Picture> {
     let view = &found.views[index];
-    let frame = match args.frame {
-        Some(frame) => frame,
-        None if found.showing == Showing::PlayAlong => {
-            chosen.range.start + found.showing.frame_of(view, index, chosen.range.len() as u32)?
-        }
-        None => found.showing.frame_of(view, index, chosen.count)?,
-    };
+    let of_camera = || found.showing.frame_of(view, index, chosen.count, &chosen.range);
+    let frame = args.frame.map_or_else(of_camera, Ok)?;
     let stem = view.name.rsplit(['/', '\\']).next().unwrap_or_default();
     let stem = stem.rsplit_once('.').map_or(stem, |(stem, _)| stem);
     let stem: String = stem

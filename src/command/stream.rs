@@ -71,14 +71,14 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
             format!("; one way {:.0} ms, 95 % within {:.0} ms", median.as_ms(), tail.as_ms())
         }),
         mean_rate.map_or(String::new(), |rate| {
-            format!("; the link carried up to {} on average", pipeline::rate_words(rate))
+            format!("; the link could carry {} on average", pipeline::rate_words(rate))
         }),
     );
     let mut json = json!({
         "link": link.description,
-        "link_mean_bps": mean_rate.map(|rate| rate.0),
+        "link_capacity_mean_bps": mean_rate.map(|rate| rate.0),
         "limit": limit,
-        "lost_packets": { "queue": lost.queue, "way": lost.way },
+        "lost_datagrams": { "queue": lost.queue, "way": lost.way },
         "one_way_delay_ms": report.one_way_delay.map(|[median, tail]| {
             json!({ "median": median.as_ms(), "p95": tail.as_ms() })
         }),

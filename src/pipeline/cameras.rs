@@ -3,7 +3,10 @@
 //! What is typed wins: a file of cameras, an eye, a turntable; else the scene's own cameras; else a ring
 //! around the scene, which depends on where its Gaussians lie and never on their order.
 
-use std::path::{Path, PathBuf};
+use std::{
+    ops::Range,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, Result, bail};
 use render_host::{
@@ -19,12 +22,11 @@ use trainer_host::{
 };
 
 use crate::{
-    args::{CameraArgs, ViewArgs},
+    args::{CameraArgs, FrameRange, ViewArgs},
     figures::counted,
 };
 
-/// Cameras on the ring that `dgs render` looks from at a scene without its own: what compares its pictures
-/// with renders looks from the same.
+/// Cameras around a scene without its own, for `dgs render` and for what compares its pictures with renders.
 pub(crate) const RENDER_RING: (Ring, usize) = (Ring::HeldOut, 8);
 
 /// Most bytes of one file of cameras.
@@ -42,6 +44,14 @@ pub struct Viewpoints {
 }
 
 impl Viewpoints {
+    /// For people: what they are, with the frames over which cameras play along, if those were chosen.
+    pub(crate) fn of_frames(&self, chosen: Option<FrameRange>) -> String {
+        match chosen.filter(|_| self.showing == Showing::PlayAlong) {
+            Some(range) => format!("{}, frames {range}", self.description),
+            None => self.description.clone(),
+        }
+    }
+
     /// For people: what its first camera is.
     pub(crate) fn of_first(&self) -> String {
         let from = if self.views.len() > 1 { "the first of " } else { "" };
@@ -61,13 +71,14 @@ pub enum Showing {
 }
 
 impl Showing {
-    /// The frame, of `count`, that camera `index` shows first.
+    /// The frame, of a clip of `count` of which `chosen` are shown, that camera `index` shows first. A camera
+    /// with a time of its own may show one that is not chosen.
     ///
     /// # Errors
     /// A time outside of 0 to 1.
-    pub fn frame_of(self, view: &View, index: usize, count: u32) -> Result<u32> {
+    pub fn frame_of(self, view: &View, index: usize, count: u32, chosen: &Range<u32>) -> Result<u32> {
         match view.time {
-            None if self == Self::PlayAlong => Ok(index as u32 % count.max(1)),
+            None if self == Self::PlayAlong => Ok(chosen.start + index as u32 % (chosen.len() as u32).max(1)),
             None => Ok(0),
             Some(time) if (0.0..=1.0).contains(&time) => Ok((time * f64::from(count - 1)).round() as u32),
             Some(time) => bail!("{}: time is {time}; 0 to 1 is allowed, or --frame", view.name),
@@ -313,9 +324,10 @@ mod tests {
 
     #[test]
     fn frames_follow_times_or_go_round() {
-        assert_eq!(Showing::OwnFrame.frame_of(&view("a", Some(0.5)), 3, 11).unwrap(), 5);
-        assert_eq!(Showing::OwnFrame.frame_of(&view("a", None), 13, 10).unwrap(), 0);
-        assert_eq!(Showing::PlayAlong.frame_of(&view("a", None), 13, 10).unwrap(), 3);
-        assert!(Showing::Clip.frame_of(&view("a", Some(1.5)), 0, 10).is_err());
+        assert_eq!(Showing::OwnFrame.frame_of(&view("a", Some(0.5)), 3, 11, &(0..11)).unwrap(), 5);
+        assert_eq!(Showing::OwnFrame.frame_of(&view("a", None), 13, 10, &(0..10)).unwrap(), 0);
+        assert_eq!(Showing::PlayAlong.frame_of(&view("a", None), 13, 10, &(0..10)).unwrap(), 3);
+        assert_eq!(Showing::PlayAlong.frame_of(&view("a", None), 4, 10, &(5..8)).unwrap(), 6);
+        assert!(Showing::Clip.frame_of(&view("a", Some(1.5)), 0, 10, &(0..10)).is_err());
     }
 }

@@ -40,10 +40,12 @@ pub(crate) struct Impaired {
 pub(crate) fn impairment(text: &str) -> Result<Impaired> {
     let mut path = PathConfig::unimpaired();
     let mut notes = Vec::new();
-    let whole_trace = format!("trace={text}");
-    let words = if text.contains('=') { text } else { whole_trace.as_str() };
     let keys = ["loss", "burst", "rate", "delay", "jitter", "queue", "trace", "seed"];
-    let words = Words::parse(words, &keys, ALLOWED)?;
+    // Without a word it is the name of a trace, whatever that has in it.
+    let words = match text.contains('=') {
+        true => Words::parse(text, &keys, ALLOWED)?,
+        false => Words { words: vec![("trace", text)], allowed: ALLOWED },
+    };
     path.loss = words.loss(mean_burst, "1 to 1000 packets")?;
     path.jitter = words.read("jitter", TIMES, span)?.unwrap_or(Nanos::ZERO);
     let delay = words.read("delay", TIMES, span)?;
@@ -56,7 +58,9 @@ pub(crate) fn impairment(text: &str) -> Result<Impaired> {
     }
     if let Some(file) = words.value("trace") {
         ensure!(rate.is_none(), "--impair: rate and trace are given; one of both is allowed");
-        let Recording { replay, notes: said } = read_recording(Path::new(file))?;
+        let Recording { replay, notes: said } = read_recording(Path::new(file)).with_context(|| {
+            format!("--impair: {file:?} is no trace that can be used; {ALLOWED} are allowed")
+        })?;
         notes.extend(said.into_iter().map(|note| format!("--impair: {file}: {note}")));
         let Replay { capacity, delay: delays, loss } = replay;
         if let Some(round_trip) = capacity.base_rtt().filter(|_| delay.is_none() && delays.is_none()) {
@@ -116,7 +120,7 @@ struct Words<'t> {
 impl<'t> Words<'t> {
     fn parse(text: &'t str, keys: &[&str], allowed: &'static str) -> Result<Self> {
         let mut words: Vec<(&str, &str)> = Vec::new();
-        for word in text.split(',') {
+        for word in text.split(',').map(str::trim) {
             let known = word.split_once('=').filter(|(key, _)| keys.contains(key));
             let (key, value) =
                 known.with_context(|| format!("--impair: {word:?} is not allowed; {allowed} are"))?;

@@ -11,7 +11,7 @@ const WINDOW_FULL: f64 = 0.4;
 /// A window with less room than this is full.
 const DATAGRAM_BYTES: u64 = 1200;
 /// A link that can carry less than this carries nothing.
-const WHOLE_DATAGRAM: u64 = 1500;
+const OPPORTUNITY_BYTES: u64 = 1500;
 /// Share of lost datagrams, or of packets that were never sent or came late, from which on they matter.
 const NOTABLE: f64 = 0.01;
 
@@ -43,7 +43,7 @@ impl Lost {
 
 impl std::fmt::Display for Lost {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} packets: {} in the queue, {} on the way", self.all(), self.queue, self.way)
+        write!(f, "{} datagrams: {} in the queue, {} on the way", self.all(), self.queue, self.way)
     }
 }
 
@@ -52,7 +52,7 @@ const DOWN: &str = "forward/";
 
 /// Whether a box is the capacity of the link, with its queue.
 fn is_queue(label: &str) -> bool {
-    label == "forward/rate" || label == "forward/trace-rate"
+    label.strip_prefix(DOWN).is_some_and(|name| matches!(name, "rate" | "trace-rate"))
 }
 
 impl Link {
@@ -66,13 +66,13 @@ impl Link {
 /// something is missing which it explains.
 fn limit(report: &Report, graph: &PacketGraph, capacity: &Capacity) -> String {
     let could = capacity.bytes_until(report.duration_ns).0;
-    if could < WHOLE_DATAGRAM {
+    if could < OPPORTUNITY_BYTES {
         return "link (it carried nothing)".to_owned();
     }
     let capacity_box = report.boxes.iter().find(|row| is_queue(&row.label));
     let used = capacity_box.map_or(0.0, |row| row.counts.delivered.bytes as f64 / could as f64);
     let used_words = match capacity {
-        Capacity::Unlimited => "which has no limit of rate".to_owned(),
+        Capacity::Unlimited => "the link has no limit of rate".to_owned(),
         _ => format!("{:.0} % of the link used", 100.0 * used),
     };
     if used >= LINK_FULL {
@@ -98,7 +98,7 @@ fn limit(report: &Report, graph: &PacketGraph, capacity: &Capacity) -> String {
         );
     }
     match capacity {
-        Capacity::Unlimited => format!("not the link ({used_words})"),
+        Capacity::Unlimited => "not the link (it has no limit of rate)".to_owned(),
         _ => format!("not the link ({:.0} % used)", 100.0 * used),
     }
 }
@@ -129,8 +129,9 @@ mod tests {
     fn limit_of(stream_kbps: u64, link_kbps: u64, path: &dyn Fn(&mut PathConfig)) -> String {
         let spec = Synthetic { frames: 300, rate: Rate::from_kbps(stream_kbps), ..Synthetic::default() };
         let capacity = Capacity::Constant(Rate::from_kbps(link_kbps));
-        let mut forward = PathConfig { capacity: capacity.clone(), ..PathConfig::default() };
+        let mut forward = PathConfig { capacity, ..PathConfig::default() };
         path(&mut forward);
+        let capacity = forward.capacity.clone();
         let mut config = SessionConfig { forward, policy: PolicyKind::Layered, ..SessionConfig::default() };
         config.reverse.delay = config.forward.delay;
         let graph = spec.build(1).unwrap();
@@ -152,6 +153,8 @@ mod tests {
         // Media of a second is sent two seconds ahead, and takes longer than that.
         let far = limit_of(3000, 15_000, &|path| path.delay = Nanos::from_ms(900));
         assert!(far.starts_with("deadline (") && far.contains("packets were not sent in time"), "{far}");
+        let unlimited = limit_of(300, 1, &|path| path.capacity = Capacity::Unlimited);
+        assert_eq!(unlimited, "not the link (it has no limit of rate)");
         let short = limit_of(4000, 5000, &|path| path.queue = QueueLimit { bytes: 3000, datagrams: 2 });
         assert!(!short.starts_with("deadline"), "{short}");
     }

@@ -1,7 +1,7 @@
 //! Builds the link of the command line: a capacity trace, scaled to the stream, with its delay, loss and
 //! queue.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use dgs_quic::socket::Impairment;
 use emulator_host::{
     Bytes, ControllerKind, Nanos, PacketGraph, Rate, SessionConfig, Trace,
@@ -177,6 +177,9 @@ fn scaled(trace: &Trace, factor: f64) -> Result<Trace> {
     if factor == 1.0 {
         return Ok(trace.clone());
     }
+    let wanted = trace.mean_rate().0 as f64 * factor;
+    let most = trace::MAX_RATE.0 as f64;
+    ensure!(wanted <= most, "the mean rate would be {wanted:.3e} bit/s, allowed up to {most:.0e}");
     Ok(trace.scaled((factor * PARTS as f64).round() as u64, PARTS)?)
 }
 
@@ -225,10 +228,10 @@ fn percent(share: f64) -> String {
     }
 }
 
-/// A rate with three digits at least, however small.
+/// A rate in the largest unit of which it is one at least.
 pub(crate) fn rate_words(rate: Rate) -> String {
     match rate.0 {
-        bits if bits >= 100_000 => format!("{:.2} Mbit/s", bits as f64 / 1e6),
+        bits if bits >= 1_000_000 => format!("{:.2} Mbit/s", bits as f64 / 1e6),
         bits if bits >= 1_000 => format!("{:.2} kbit/s", bits as f64 / 1e3),
         bits => format!("{bits} bit/s"),
     }
@@ -236,8 +239,11 @@ pub(crate) fn rate_words(rate: Rate) -> String {
 
 /// A queue as time at `rate`, and its bytes.
 fn queue_words(queue: QueueLimit, rate: Rate) -> String {
-    let ms = rate.time_for(Bytes(queue.bytes)).as_ms();
     let kilobytes = (queue.bytes as f64 / 1e3).round();
+    if rate == Rate(0) {
+        return format!("queue {kilobytes} kB");
+    }
+    let ms = rate.time_for(Bytes(queue.bytes)).as_ms();
     let is_least = queue.bytes == QueueLimit::lasting(Nanos::ZERO, rate).bytes;
     format!("queue {ms:.0} ms ({kilobytes} kB{})", if is_least { ", the least" } else { "" })
 }
@@ -311,6 +317,8 @@ mod tests {
             );
         }
         let slow = Rate::from_kbps(42);
+        let queue = queue_words(QueueLimit::lasting(Nanos::from_ms(250), Rate(0)), Rate(0));
+        assert_eq!(queue, "queue 3 kB");
         let queue = queue_words(QueueLimit::lasting(Nanos::from_ms(250), slow), slow);
         assert_eq!(queue, "queue 571 ms (3 kB, the least)");
     }
@@ -318,7 +326,7 @@ mod tests {
     #[test]
     fn small_rates_have_digits() {
         let said = [5_000_000, 123_456, 4_210, 70].map(|bits| rate_words(Rate(bits)));
-        assert_eq!(said, ["5.00 Mbit/s", "0.12 Mbit/s", "4.21 kbit/s", "70 bit/s"]);
+        assert_eq!(said, ["5.00 Mbit/s", "123.46 kbit/s", "4.21 kbit/s", "70 bit/s"]);
     }
 
     #[test]
@@ -338,6 +346,8 @@ mod tests {
         let doubled = link(&typed(&["--trace", &logged, "--scale", "2"]), &graph(30)).unwrap();
         assert_eq!(doubled.config.forward.delay, Nanos::from_ms(40));
         assert!(doubled.warnings.iter().any(|warning| warning.contains("idle")), "{:?}", doubled.warnings);
+        let error = link(&typed(&["--trace", &steady, "--scale", "1e30"]), &graph(30)).unwrap_err();
+        assert!(format!("{error:#}").contains("the mean rate would be 1.200e37 bit/s"), "{error:#}");
         let backward = link(&typed(&["--trace", &file("pitree-1", "0 1\n1 2\n")]), &graph(30)).unwrap();
         assert!(backward.warnings[0].contains("pitree"), "{:?}", backward.warnings);
     }
@@ -347,7 +357,14 @@ mod tests {
         for (frames, load, seed) in [(30, "1.2", "2"), (30, "2.5", "3"), (90, "0.5", "4"), (1000, "3", "5")] {
             let graph = graph(frames);
             let link = link(&typed(&["--load", load, "--link-seed", seed]), &graph).unwrap();
-            let passed = playout_capacity(link.trace().unwrap(), &graph).0 as f64;
+            let trace = link.trace().unwrap();
+            let mut config = link.config.clone();
+            (config.forward.loss, config.forward.delay, config.reverse.delay) =
+                (LossModel::None, Nanos::ZERO, Nanos::ZERO);
+            let report = emulator_host::simulate(&graph, &config).unwrap();
+            let start = Nanos((report.startup_ms.unwrap() * 1e6) as u64);
+            let clip = graph.frame_interval().times(u64::from(graph.frames()));
+            let passed = (trace.bytes_until(start + clip) - trace.bytes_until(start)).0 as f64;
             let bytes = (graph.total_bytes() + u64::from(graph.manifest_bytes())) as f64;
             let found = bytes / passed / load.parse::<f64>().unwrap();
             assert!((found - 1.0).abs() < 0.01, "{frames} frames, seed {seed}: {found}");

@@ -42,7 +42,10 @@ pub(crate) fn read_recording(path: &Path) -> Result<Recording> {
     let bytes = trace::read(path, &limits).with_context(|| path.display().to_string())?;
     let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let first = Replay::first_line(&bytes);
-    let columns = first.split(|b| b.is_ascii_whitespace() || *b == b',').filter(|c| !c.is_empty()).count();
+    // Names of columns may have blanks in them.
+    let has_commas = first.contains(&b',');
+    let separates = |byte: &u8| if has_commas { *byte == b',' } else { byte.is_ascii_whitespace() };
+    let columns = first.split(separates).filter(|cell| !cell.trim_ascii().is_empty()).count();
     let mut notes = Vec::new();
     let replay = if matches!(columns, 3 | 4) && !first.starts_with(b"Timestamp") {
         Replay::load(&name, &bytes, &limits)
@@ -71,4 +74,26 @@ pub(crate) fn read_delays(path: &Path) -> Result<DelayTrace> {
     let bytes = trace::read(path, &limits).with_context(|| path.display().to_string())?;
     DelayTrace::load(&bytes, DELAY_INTERVAL, &limits)
         .with_context(|| format!("{}: not a usable trace of delays", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_columns_do_not_change_what_a_file_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trace.csv");
+        for (text, has_delays) in [
+            ("time (s),throughput (Mbps)\n0,3\n1,4\n", false),
+            ("time_s,rate (Mbit/s),delay (ms)\n0,3,20\n1,4,25\n", true),
+            ("0 3\n1 4\n", false),
+            ("0, 3, 20\n1, 4, 25\n", true),
+        ] {
+            std::fs::write(&path, text).unwrap();
+            let replay = read_recording(&path).unwrap().replay;
+            assert_eq!(replay.delay.is_some(), has_delays, "{text}");
+            assert_eq!(replay.capacity.mean_rate().0, 3_500_000, "{text}");
+        }
+    }
 }

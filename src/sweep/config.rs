@@ -257,16 +257,8 @@ fn condition((at, table): (usize, &ConditionTable)) -> Result<Condition> {
     };
     let share = within(&key("loss_percent"), table.loss_percent, 0.0, 50.0)? / 100.0;
     let burst = within(&key("burst"), table.burst, 1.0, 1000.0)?;
-    let loss = if share == 0.0 {
-        LossModel::None
-    } else if burst == 1.0 {
-        LossModel::Iid(share)
-    } else {
-        // The share of time in the bad state is enter ÷ (enter + leave).
-        let leave_bad = 1.0 / burst;
-        let enter_bad = share * leave_bad / (1.0 - share);
-        LossModel::GilbertElliott { enter_bad, leave_bad, loss_good: 0.0, loss_bad: 1.0 }
-    };
+    // Half of all datagrams at most, so that no burst is too short.
+    let loss = LossModel::in_bursts(share, burst);
     let repair = within(&key("repair"), table.repair, 0, 64)?;
     Ok(Condition { name: table.name.clone(), dependencies, repair: (repair > 0).then_some(repair), loss })
 }

@@ -11,6 +11,7 @@ use std::{
 
 use anyhow::{Context, Result};
 use codec_core::internals::digest::Digest;
+use emulator_host::trace;
 
 use crate::files;
 
@@ -61,7 +62,11 @@ impl Digests {
     /// # Errors
     /// What the system says, with the path.
     pub(super) fn enter(&mut self, name: &str, path: &Path) -> Result<()> {
-        let bytes = fs::read(path).with_context(|| path.display().to_string())?;
+        if self.0.contains_key(name) {
+            return Ok(());
+        }
+        let bytes =
+            trace::read(path, &trace::Limits::default()).with_context(|| path.display().to_string())?;
         let digest = Digest::new().bytes(&bytes).get();
         self.0.insert(name.to_owned(), format!("{digest:016x}-{}", bytes.len()));
         Ok(())

@@ -2,6 +2,7 @@
 
 use std::{
     fs,
+    io::{Read as _, Seek as _, SeekFrom},
     ops::Range,
     path::{Path, PathBuf},
 };
@@ -20,8 +21,8 @@ const BLOCKS: u64 = 4;
 const CONFIG: &str = "sweep.toml";
 const RUNS: &str = "runs.jsonl";
 const SUMMARY: &str = "summary.json";
-/// First and last bytes of a Parquet file.
-const PARQUET: &[u8] = b"PAR1";
+/// Last bytes of a Parquet file.
+const PARQUET: [u8; 4] = *b"PAR1";
 
 /// What results were made of.
 #[derive(Clone, Debug)]
@@ -252,9 +253,16 @@ impl Folder {
 /// Refuses a Parquet file, if it is there, that does not end as one.
 fn check_parquet(path: &Path) -> Result<()> {
     if path.is_file() {
-        let bytes = fs::read(path).with_context(|| path.display().to_string())?;
-        let is_whole = bytes.len() > 2 * PARQUET.len() && bytes.ends_with(PARQUET);
-        ensure!(is_whole, "{}: {} bytes, which end inside a table", path.display(), bytes.len());
+        let failed = || path.display().to_string();
+        let mut file = fs::File::open(path).with_context(failed)?;
+        let bytes = file.metadata().with_context(failed)?.len();
+        let mut last = [0; PARQUET.len()];
+        let is_read = file
+            .seek(SeekFrom::End(-(PARQUET.len() as i64)))
+            .and_then(|_| file.read_exact(&mut last))
+            .is_ok();
+        let is_whole = is_read && last == PARQUET && bytes > 2 * PARQUET.len() as u64;
+        ensure!(is_whole, "{}: {bytes} bytes, which end inside a table", path.display());
     }
     Ok(())
 }

@@ -34,8 +34,15 @@ fn renders_are_compared_with_what_their_cameras_see() {
     ok(at, &[&["render", scene, "-o", "round", "--turntable", "4"], &SMALL[..]].concat());
     let (_, cameras) = compared(at, &["round", scene]);
     assert!(cameras.contains("round was rendered from turntable of 4 cameras"), "{cameras}");
-    let said = json(at, &["compare", "round", scene, "--turntable", "4", "--frames", "1..2"]);
-    assert_eq!(said["pictures"].as_array().unwrap().len(), 2, "{said}");
+    // Cameras that play along do so over the frames that are chosen, and pictures of others are named.
+    let part = ["--turntable", "4", "--frames", "1..2"];
+    let (psnr, cameras) = compared(at, &[&["round", scene], &part[..]].concat());
+    assert!(psnr < 50.0 && cameras.contains("round was rendered from"), "{psnr} dB, {cameras}");
+    ok(at, &[&["render", scene, "-o", "part"], &part[..], &SMALL[..]].concat());
+    let (psnr, cameras) = compared(at, &[&["part", scene], &part[..]].concat());
+    assert!(psnr > 50.0 && !cameras.contains("was rendered from"), "{psnr} dB, {cameras}");
+    let said = json(at, &[&["compare", "part", scene], &part[..]].concat());
+    assert_eq!(said["pictures"].as_array().unwrap().len(), 4, "{said}");
 }
 
 #[test]
@@ -55,7 +62,7 @@ fn folders_of_pictures_are_compared_by_name() {
     assert!(notes.contains("not used: --turntable") && notes.contains("not used: --level"), "{notes}");
     fs::rename(at.join("q/00000.png"), at.join("q/00003.png")).unwrap();
     let text = stopped(at, &["compare", "p", "q"], 1);
-    assert!(text.contains("B has no picture named as 00000.png"), "{text}");
+    assert!(text.contains("B has no picture named 00000.png"), "{text}");
 }
 
 #[test]
@@ -69,6 +76,11 @@ fn scenes_with_other_axes_are_compared_upright() {
         psnr > 30.0 && said.contains("a.spz is turned: y is up in it, minus-y in a.ply"),
         "{psnr} {said}"
     );
+    ok(at, &["encode", "a.spz", "-o", "s.dgs", "--pictures", "0"]);
+    let (psnr, said) = compared(at, &[&["a.ply", "s.dgs"], &SMALL[..]].concat());
+    assert!(psnr > 30.0 && said.contains("a.ply is turned"), "{psnr} {said}");
+    let (_, said) = compared(at, &[&["s.dgs", "a.ply"], &SMALL[..]].concat());
+    assert!(said.contains("a stream is not turned"), "{said}");
     let (psnr, said) = compared(at, &[&["a.spz", "a.ply", "--up", "y"], &SMALL[..]].concat());
     assert!(psnr < 30.0 && !said.contains("turned"), "{psnr} {said}");
 }

@@ -80,8 +80,10 @@ fn options_that_mean_nothing_are_named() {
         |args: &[&str]| json(at, &[&["decode", "a.dgs", "--digest"], args].concat())["digest"].clone();
     let (all, one, other) = (digest(&[]), digest(&["--frame", "1"]), digest(&["--frame", "2"]));
     assert!(all != one && one != other, "{all} {one} {other}");
-    let text = stopped(at, &["decode", "a.dgs", "--digest", "--frame", "99"], 1);
-    assert!(text.contains("--frame is 99; 0 to 2 are allowed"), "{text}");
+    for past in ["99", "4294967295"] {
+        let text = stopped(at, &["decode", "a.dgs", "--digest", "--frame", past], 1);
+        assert!(text.contains(&format!("--frame is {past}; 0 to 2 are allowed")), "{text}");
+    }
 }
 
 /// What is behind the scene is left open, and what is in front of it has the colour that it had.
@@ -96,7 +98,12 @@ fn transparent_pictures_are_laid_over_any_background() {
     render("open.png", "transparent");
     render("open.webp", "transparent");
     render("open.apng", "transparent");
+    render("open", "transparent");
     render("grey.png", "#808080");
+    // The colour type of the header of PNG: with alpha.
+    for name in ["open.png", "open.apng", "open/00000.png"] {
+        assert_eq!(fs::read(at.join(name)).unwrap()[25], 6, "{name}");
+    }
     for name in ["open.png", "open.webp"] {
         let said = json(at, &["compare", name, "grey.png", "--background", "#808080"]);
         let psnr = said["summary"][0]["mean"].as_f64().unwrap();
@@ -124,6 +131,10 @@ fn frames_are_rendered_as_chosen() {
     let psnr = said["summary"][0]["mean"].as_f64().unwrap();
     assert!(psnr > 50.0, "{psnr}");
     assert_eq!(render("round", &["--frames", "2..3", "--turntable", "6"])["images"], 6);
+    render("two", &["--frame", "2", "--turntable", "6"]);
+    let read = |name: &str| fs::read(at.join(name)).unwrap();
+    assert_eq!(read("round/00000.png"), read("two/00000.png"));
+    assert_ne!(read("round/00001.png"), read("two/00001.png"));
     let text = stopped(at, &["render", scene, "-o", "a.png", "--frames", "1..2"], 1);
     assert!(text.contains("a single image shows one frame"), "{text}");
     let text = stopped(at, &["render", scene, "-o", "q", "--frames", "3..9"], 1);

@@ -105,6 +105,8 @@ pub struct Level(u8);
 impl Level {
     /// The base level.
     pub const BASE: Self = Self(0);
+    /// The highest level, of which nothing is missing where all levels are there.
+    pub const HIGHEST: Self = Self(Self::COUNT as u8 - 1);
     /// Number of levels.
     pub const COUNT: usize = 4;
     /// All levels, base first.

@@ -140,7 +140,8 @@ impl Synthetic {
         u64::from(self.frames.div_ceil(self.window_frames)).max(1)
     }
 
-    /// Refuses what is no graph, or one that is larger than packets have ids, before anything is made of it.
+    /// Refuses what is no graph, and before anything is made of it one that would surely have more packets
+    /// than there are ids.
     fn check(&self) -> Result<(), GraphError> {
         let within = |field, found: u64, low: u64, high: u64| {
             if (low..=high).contains(&found) {
@@ -158,11 +159,19 @@ impl Synthetic {
         let groups = (self.windows() + 1) * u64::from(self.clusters) * u64::from(self.levels);
         within("groups (clusters x levels x windows)", groups, 1, IDS)?;
         let media = self.rate.bytes_in(self.frame_interval.times(self.frames.into())).0;
-        let packets = media / u64::from(self.packet_bytes);
+        let size = u64::from(self.packet_bytes);
+        let packets = (media / size).max(groups * LEAST_GROUP_BYTES.div_ceil(size));
         within("packets (rate x frames x frame_interval / packet_bytes)", packets, 0, IDS)?;
-        within("parity", self.parity.into(), 0, 255)
+        within("parity", self.parity.into(), 0, 255)?;
+        // Only the base is protected; each of its groups has so many packets at least.
+        let bases = groups / u64::from(self.levels) * LEAST_GROUP_BYTES.div_ceil(size);
+        let sets = self.repair.filter(|set| *set > 0).map_or(0, |set| bases.div_ceil(u64::from(set)));
+        within("parity packets", sets * u64::from(self.parity), 0, IDS)
     }
 }
+
+/// Bytes of the smallest group.
+const LEAST_GROUP_BYTES: u64 = 40;
 
 /// The wire id of packet `index`. Past the largest id they repeat, which the graph refuses.
 fn wire_id(index: usize) -> PacketId {
@@ -199,7 +208,7 @@ impl Draft<'_> {
                 needs.push(GroupIndex((cluster % clusters * levels + usize::from(level)) as u32));
             }
             let mean = base_bytes << level;
-            let bytes = (mean / 2 + self.sizes.up_to(mean)).max(40);
+            let bytes = (mean / 2 + self.sizes.up_to(mean)).max(LEAST_GROUP_BYTES);
             let packets = self.split(bytes, GroupIndex(at as u32), &needs);
             let jitter = 0.5 + self.utilities.up_to(1_000_000) as f64 / 1e6;
             let finest = level > 0 && level + 1 == self.spec.levels;
@@ -318,6 +327,11 @@ mod tests {
             (Synthetic { frames: u32::MAX, window_frames: 1, ..good }, "windows "),
             (Synthetic { clusters: 1 << 16, frames: 60_000, window_frames: 1, ..good }, "groups "),
             (Synthetic { frame_interval: Nanos::MAX, ..good }, "packets "),
+            (Synthetic { clusters: 1 << 16, window_frames: 16, packet_bytes: 1, ..good }, "packets "),
+            (
+                Synthetic { clusters: 1 << 16, window_frames: 16, repair: Some(1), parity: 255, ..good },
+                "parity packets ",
+            ),
         ] {
             let error = spec.build(1).unwrap_err().to_string();
             assert!(error.starts_with(words), "{error}");

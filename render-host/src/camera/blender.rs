@@ -172,7 +172,7 @@ mod tests {
         assert!(error.contains("./train/r_000: rotation differs"), "{error}");
         let missing = r#"{"frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}"#;
         let error = read(missing.as_bytes(), Some((8, 8))).unwrap_err().to_string();
-        assert!(error.contains("fx is NaN"), "{error}");
+        assert!(error.contains("no focal length: camera_angle_x"), "{error}");
     }
 
     #[test]

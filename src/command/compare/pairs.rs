@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
+use codec_core::internals::ids::Level;
 use render_host::Camera;
 use trainer_host::viewpoint::Ring;
 
@@ -16,8 +17,6 @@ use crate::{
 const RING: (Ring, usize) = (Ring::HeldOut, 3);
 /// Width and height of pictures where nothing else says, pixels.
 const SIZE: (u32, u32) = (512, 512);
-/// Highest level of a stream: that of all of it.
-const LAST_LEVEL: u8 = 3;
 
 /// What is compared with what, once.
 pub(super) struct Pair {
@@ -70,7 +69,7 @@ pub(super) fn choose(args: &Compare, a: &mut Side, b: &mut Side) -> Result<Chose
             photographed(args, frames, pictures, &args.a, true)?
         }
     };
-    if !has_stream && args.level != LAST_LEVEL {
+    if !has_stream && args.level != Level::HIGHEST.get() {
         chosen.notes.push("neither side is a stream; not used: --level".to_owned());
     }
     Ok(chosen)
@@ -186,7 +185,8 @@ fn matched(views: Views, paths: &[PathBuf]) -> Result<Matched> {
         }
     }
     bail!(
-        "{} pictures, and cameras and frames for {all}; as many are needed: --camera, --frames",
+        "{} pictures, and cameras and frames for {all}; as many are needed where names do not say which: \
+         --camera, --frames",
         paths.len()
     )
 }
@@ -256,7 +256,7 @@ fn views(
             list.extend(each);
             continue;
         }
-        let frame = found.showing.frame_of(view, camera, count)?;
+        let frame = found.showing.frame_of(view, camera, count, &chosen)?;
         if chosen.contains(&frame) {
             let name = if name.is_empty() { format!("{camera:05}") } else { name.to_owned() };
             list.push(shown(frame, name));
@@ -265,8 +265,8 @@ fn views(
     if list.is_empty() {
         bail!("nothing to compare: no camera shows a frame that is chosen");
     }
-    let of_first = found.of_first();
-    Ok(Views { list, description: found.description, of_first, is_clip })
+    let (description, of_first) = (found.of_frames(args.frames), found.of_first());
+    Ok(Views { list, description, of_first, is_clip })
 }
 
 /// Gives pictures of the same name a number.

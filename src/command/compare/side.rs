@@ -1,6 +1,9 @@
 //! Opens one side of a comparison: frames to be rendered, or pictures that are there.
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
@@ -63,22 +66,27 @@ impl Side {
     }
 }
 
-/// Turns scene A into the axes of scene B where other directions are up in them, and says so.
+/// Turns scene A into the axes of B where other directions are up in them, and says so; of a stream, that it
+/// does not.
 ///
 /// # Errors
 /// Positions that do not stay finite.
 pub(super) fn turned_alike(args: &Compare, a: &mut Side, b: &Side) -> Result<Option<String>> {
     let (Side::Frames(of_a), Side::Frames(of_b)) = (a, b) else { return Ok(None) };
-    let (Frames::Scene(of_a), Frames::Scene(of_b)) = (&mut **of_a, &**of_b) else { return Ok(None) };
-    let (from, to) = (of_a.up, of_b.up);
+    let (from, to) = (of_a.up(), of_b.up());
     if from == to {
         return Ok(None);
     }
+    let (a, b) = (&args.a, &args.b);
+    let Frames::Scene(of_a) = &mut **of_a else {
+        return Ok(Some(format!(
+            "{a} has {from} up, {b} {to}: a stream is not turned; dgs convert turns it"
+        )));
+    };
     let rotation = turn_between(from, to);
     let turned = edit::transform(of_a, &Similarity { rotation, ..Similarity::default() })?;
     **of_a = turned;
     of_a.up = to;
-    let (a, b) = (&args.a, &args.b);
     Ok(Some(format!("{a} is turned: {from} is up in it, {to} in {b}; --up of both leaves axes as they are")))
 }
 
@@ -152,17 +160,10 @@ pub(super) fn read(path: &Path, background: [f32; 3]) -> Result<Image> {
 /// # Errors
 /// Pictures without a partner.
 pub(super) fn pairs(a: &[PathBuf], b: &[PathBuf]) -> Result<(Vec<(PathBuf, PathBuf)>, &'static str)> {
-    let partner = |path: &Path, others: &[PathBuf]| {
-        let same = |other: &&PathBuf| name_of(other) == name_of(path);
-        others
-            .iter()
-            .find(same)
-            .or_else(|| others.iter().find(|other| stem_of(other) == stem_of(path)))
-            .cloned()
-    };
+    let (named_a, named_b) = (Named::of(a), Named::of(b));
     let (of_a, of_b): (Vec<_>, Vec<_>) = (
-        a.iter().map(|path| (path.clone(), partner(path, b))).collect(),
-        b.iter().map(|path| (path.clone(), partner(path, a))).collect(),
+        a.iter().map(|path| (path.clone(), named_b.partner(path))).collect(),
+        b.iter().map(|path| (path.clone(), named_a.partner(path))).collect(),
     );
     let is_named = of_a.iter().any(|(_, partner)| partner.is_some());
     if is_named {
@@ -172,9 +173,7 @@ pub(super) fn pairs(a: &[PathBuf], b: &[PathBuf]) -> Result<(Vec<(PathBuf, PathB
             if let Some(first) = missing.first() {
                 let more = missing.len() - 1;
                 let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-                bail!(
-                    "{side} has no picture named as {first}{more}; pictures of the same names are compared"
-                );
+                bail!("{side} has no picture named {first}{more}; pictures of the same names are compared");
             }
         }
     }
@@ -182,10 +181,35 @@ pub(super) fn pairs(a: &[PathBuf], b: &[PathBuf]) -> Result<(Vec<(PathBuf, PathB
         bail!("A has {} pictures and B {}; as many are needed", a.len(), b.len());
     }
     if is_named {
+        let mut taken = BTreeSet::new();
+        if let Some((_, Some(twice))) = of_a.iter().find(|(_, partner)| !taken.insert(partner)) {
+            bail!("{} goes with two pictures of A; each name is needed once", twice.display());
+        }
         let pairs = of_a.into_iter().filter_map(|(path, partner)| Some((path, partner?)));
         return Ok((pairs.collect(), "matched by name"));
     }
     Ok((a.iter().cloned().zip(b.iter().cloned()).collect(), "matched by order"))
+}
+
+/// Pictures by their names, with and without endings.
+struct Named<'p> {
+    names: BTreeMap<String, &'p PathBuf>,
+    stems: BTreeMap<String, &'p PathBuf>,
+}
+
+impl<'p> Named<'p> {
+    fn of(paths: &'p [PathBuf]) -> Self {
+        Self {
+            names: paths.iter().map(|path| (name_of(path), path)).collect(),
+            stems: paths.iter().map(|path| (stem_of(path), path)).collect(),
+        }
+    }
+
+    /// The picture of the same name as `path`, or else of the same name but for its ending.
+    fn partner(&self, path: &Path) -> Option<PathBuf> {
+        let found = self.names.get(&name_of(path)).or_else(|| self.stems.get(&stem_of(path)));
+        found.map(|&path| path.clone())
+    }
 }
 
 fn name_of(path: &Path) -> String {
@@ -217,9 +241,12 @@ mod tests {
         let (found, how) = pairs(&named, &list(&["y/a.png", "y/b.png"])).unwrap();
         assert_eq!((found[1].1.as_path(), how), (Path::new("y/b.png"), "matched by order"));
         let error = pairs(&named, &list(&["y/2.png", "y/3.png"])).unwrap_err().to_string();
-        assert!(error.contains("B has no picture named as 1.png"), "{error}");
+        assert!(error.contains("B has no picture named 1.png"), "{error}");
         let error = pairs(&named, &list(&["y/1.png", "y/2.png", "y/3.png"])).unwrap_err().to_string();
-        assert!(error.contains("A has no picture named as 3.png"), "{error}");
+        assert!(error.contains("A has no picture named 3.png"), "{error}");
+        let (twice, one) = (list(&["x/1.jpeg", "x/1.webp"]), list(&["y/1.jpg", "y/1.png"]));
+        let error = pairs(&twice, &one).unwrap_err().to_string();
+        assert!(error.contains("goes with two pictures of A"), "{error}");
         assert!(pairs(&named, &list(&["y/a.png"])).unwrap_err().to_string().contains("as many are needed"));
     }
 

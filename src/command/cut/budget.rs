@@ -93,12 +93,12 @@ pub(super) fn within(
         fits
     };
     let mut some = vec![false; stays.len()];
-    let mut lacking = Lacking::default();
+    let mut left_out = LeftOutBlocks::default();
     for &id in order.iter().filter(|&&id| stays[id]) {
         let placements = map.placements(id);
-        some[id] = !lacking.hinders(&manifest, map, placements) && take(id);
+        some[id] = !left_out.leaves_undecodable(&manifest, map, placements) && take(id);
         if !some[id] {
-            lacking.add(placements);
+            left_out.add(placements);
         }
     }
     let mut with_parity: Vec<bool> =
@@ -113,11 +113,11 @@ pub(super) fn within(
 
 /// Levels of blocks that were left out, by the block's number in the whole state.
 #[derive(Default)]
-struct Lacking {
+struct LeftOutBlocks {
     blocks: BTreeSet<(usize, Level)>,
 }
 
-impl Lacking {
+impl LeftOutBlocks {
     fn add(&mut self, placements: &[SlicePlacement]) {
         for placement in placements {
             let blocks = placement.first_block..placement.first_block + placement.blocks;
@@ -126,16 +126,26 @@ impl Lacking {
     }
 
     /// Whether anything of `placements` is decoded upon what was left out.
-    fn hinders(&self, manifest: &Manifest<'_>, map: &PacketMap, placements: &[SlicePlacement]) -> bool {
+    fn leaves_undecodable(
+        &self,
+        manifest: &Manifest<'_>,
+        map: &PacketMap,
+        placements: &[SlicePlacement],
+    ) -> bool {
         !self.blocks.is_empty()
-            && placements.iter().any(|placement| self.hinders_slice(manifest, map, placement))
+            && placements.iter().any(|placement| self.slice_is_undecodable(manifest, map, placement))
     }
 
-    fn hinders_slice(&self, manifest: &Manifest<'_>, map: &PacketMap, placement: &SlicePlacement) -> bool {
+    fn slice_is_undecodable(
+        &self,
+        manifest: &Manifest<'_>,
+        map: &PacketMap,
+        placement: &SlicePlacement,
+    ) -> bool {
         let Group { span, cluster, level } = placement.group;
         let mut blocks = placement.first_block..placement.first_block + placement.blocks;
-        let lower = Level::ALL.into_iter().filter(|lower| *lower < level);
-        if lower.into_iter().any(|lower| blocks.clone().any(|block| self.blocks.contains(&(block, lower)))) {
+        let mut lower = Level::ALL.into_iter().filter(|lower| *lower < level);
+        if lower.any(|lower| blocks.clone().any(|block| self.blocks.contains(&(block, lower)))) {
             return true;
         }
         let base = Needs::in_manifest(manifest, span, cluster, level).and_then(|needs| needs.base);

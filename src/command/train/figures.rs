@@ -15,7 +15,7 @@ use crate::pipeline::Frames;
 
 /// The frames that a receiver of the whole stream shows.
 pub(super) fn decoded(encoded: &Encoded) -> Result<Clip> {
-    let mut frames = Frames::of_stream(encoded.stream.receive()?, Level::from_bits(3), None);
+    let mut frames = Frames::of_stream(encoded.stream.receive()?, Level::HIGHEST, None);
     let instants: Result<_> = (0..frames.count()).map(|frame| frames.instant(frame)).collect();
     Ok(Clip { instants: instants?, footprint: frames.footprint() })
 }

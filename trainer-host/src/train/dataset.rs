@@ -1,9 +1,9 @@
 //! Reads datasets: photographs with cameras and times, from the layouts that the field uses.
 //!
-//! The first of these that a folder has says what it is: `transforms_train.json` (Blender, D-NeRF), `sparse/0`
-//! (COLMAP), `transforms.json` (Nerfstudio), a reconstruction in `sparse` or `colmap/sparse/0` (COLMAP),
-//! `train_meta.json` (Panoptic of Dynamic 3D Gaussians). Anything an importer reads becomes a dataset by
-//! rendering it: see [`rendered`].
+//! The first of these that a folder has says what it is: `transforms_train.json` (Blender, D-NeRF),
+//! `sparse/0` (COLMAP), `transforms.json` (Nerfstudio), a reconstruction in `sparse` or `colmap/sparse/0`
+//! (COLMAP), `train_meta.json` (Panoptic of Dynamic 3D Gaussians). Anything an importer reads becomes a
+//! dataset by rendering it: see [`rendered`].
 
 mod blender;
 mod colmap;
