@@ -90,7 +90,8 @@ pub(crate) fn impairment(text: &str) -> Result<Impaired> {
 /// The link that `text` describes, for a viewer who asks its server for it.
 ///
 /// # Errors
-/// As [`impairment`], and a number finer than the wire says it.
+/// A word that is not allowed or is given twice, a number out of range or finer than the wire holds, words
+/// that contradict each other or have no meaning without another.
 pub fn viewer_link(text: &str) -> Result<ViewerLink> {
     let words = Words::parse(text, &["loss", "burst", "rate", "delay", "seed"], ALLOWED_TO_VIEWERS)?;
     words.loss(
