@@ -10,16 +10,15 @@
 //! A *world* is a state: the levels of each block that a sampled delivery brings. The forward pass is the
 //! codec's own: a world's Gaussians are those that the decoder shows, dependencies enforced by its closure.
 //! The gradient of a decoded value goes to the parameter it was quantised from as if quantisation were the
-//! identity. The objective is the paper's:
+//! identity, and times its quantisation error to the step of its quantiser. The objective is the paper's:
 //!
 //! ```text
 //! L = E[D] + λc CVaR(D) + λr R + λt F + λm M + λa D(complete),   D = MSE + 0.20 (1 − SSIM)
 //! ```
 //!
-//! Trained are canonical attributes and, in `dgs1`, the proxies that stand in for blocks whose base is
-//! missing. Equal inputs and seed give equal results on any number of threads. Deliberately absent: networks
-//! (emulator-host; its deliveries come as a file of states), motion and quantiser steps, which stay as the
-//! encoder chose them.
+//! Trained are canonical attributes, the steps that they and their motion are quantised with, and in `dgs1` the
+//! proxies that stand in for blocks whose base is missing. Equal inputs and seed give equal results on any number of threads. Deliberately absent: networks
+//! (emulator-host; its deliveries come as a file of states) and motion, which stays as the encoder chose it.
 
 mod adam;
 mod channel;
@@ -28,6 +27,7 @@ mod config;
 mod error;
 mod evaluate;
 mod fine_tune;
+mod gradient;
 mod masks;
 mod monotone;
 mod objective;
@@ -38,6 +38,7 @@ mod rate_model;
 mod record;
 mod select;
 mod shared_worlds;
+mod steps;
 mod tail;
 mod temporal;
 mod view;

@@ -59,6 +59,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         means.push(push(&mut bench, variant.name(), &tested));
         combined = tested;
     }
+    // What learned steps give: the same without.
+    let fixed = DeliveryOptions { learn_steps: false, ..study.options(Variant::Combined) };
+    push(&mut bench, "mixed-steps-fixed", &test(&study, &fixed, [&iid, &burst])?);
     let views = study.size.worlds;
     let complete = DeliveryOptions { views, worlds: 1, ..study.options(Variant::Reconstruction) };
     push(&mut bench, "reconstruction-views", &test(&study, &complete, [&iid, &burst])?);
@@ -109,8 +112,10 @@ fn test(study: &Study, options: &DeliveryOptions, [iid, burst]: [&Masks; 2]) -> 
     Ok(tested)
 }
 
-/// Adds the conditions of one variant; gives their means.
+/// Adds the conditions of one variant and the bytes of its streams; gives the means of the former.
 fn push(bench: &mut Bench, name: &str, tested: &[Tested]) -> [f64; 3] {
+    let bytes: Vec<f64> = tested.iter().map(|t| t.iid.wire_bytes as f64).collect();
+    bench.push(Figure::new(format!("{name}.bytes"), mean_and_deviation(&bytes).0, "bytes"));
     std::array::from_fn(|c| {
         let values: Vec<f64> = tested.iter().map(|t| t.conditions()[c]).collect();
         let (mean, deviation) = mean_and_deviation(&values);

@@ -19,7 +19,9 @@ use render_host::{Splats, SplatsError, adjoint::SplatGradient};
 
 use super::{
     error::DeliveryError,
-    parameters::{Anchor, COMPONENTS, Follows, Parameters, Values},
+    gradient::Gradient,
+    parameters::{Anchor, Follows, Parameters, Values},
+    steps::{self, LEARNED},
 };
 use crate::{
     encode::{self, Decisions, Encoded},
@@ -37,6 +39,8 @@ pub(super) struct Block {
     cluster: ClusterId,
     /// Which block of its cluster.
     index: usize,
+    /// Which row of its epoch's quantisers it is coded with.
+    quantisers: usize,
 }
 
 /// An encoded scene with what it was made from.
@@ -75,6 +79,22 @@ impl Coded {
         Self::new(source, encode::write(&scene, &decisions, &crate::encode::unheard)?, parameters.clone())
     }
 
+    /// As [`Coded::again`], with entropy tables, at most `table_choices` to a set, for what is coded now.
+    ///
+    /// # Errors
+    /// As [`Coded::again`].
+    pub(super) fn with_tables(
+        source: &Scene,
+        parameters: &Parameters,
+        decisions: &Decisions,
+        table_choices: usize,
+    ) -> Result<Self, DeliveryError> {
+        let scene = parameters.applied(source)?;
+        let decisions = with_proxies(decisions, parameters);
+        let encoded = encode::with_levels(&scene, &decisions, &[], table_choices, &crate::encode::unheard)?;
+        Self::new(source, encoded, parameters.clone())
+    }
+
     /// Parameters of `source` and of the proxies of this encoding of it, all unchanged.
     ///
     /// # Errors
@@ -106,7 +126,8 @@ impl Coded {
         let content = coded.received.content();
         let complete = content.blocks.to_vec();
         let epochs = source.epochs().len();
-        coded.blocks = (0..epochs).map(|e| blocks(&content, EpochId(e as u16))).collect();
+        let of_epoch = |e: usize| blocks(&content, EpochId(e as u16), &coded.encoded.decisions);
+        coded.blocks = (0..epochs).map(of_epoch).collect();
         let mut player = Player::new(content.manifest);
         let mut axes = Vec::new();
         let mut first_frame = 0;
@@ -126,7 +147,7 @@ impl Coded {
     }
 
     /// Where to show states of it, with `parameters` as they are now.
-    pub(super) fn moving<'a>(&'a self, source: &'a Scene, parameters: &Parameters) -> Moving<'a> {
+    pub(super) fn moving<'a>(&'a self, source: &'a Scene, parameters: &'a Parameters) -> Moving<'a> {
         let changed = |list: usize| {
             let pairs = parameters.epoch(list).iter().zip(self.parameters.epoch(list));
             pairs.map(|(now, then)| -> Values { std::array::from_fn(|c| now[c] - then[c]) })
@@ -135,7 +156,7 @@ impl Coded {
         // Gaussians and proxies.
         let lists = 2 * source.epochs().len();
         let drift = if is_changed { (0..lists).flat_map(changed).collect() } else { Vec::new() };
-        Moving { coded: self, content: self.received.content(), source, drift }
+        Moving { coded: self, content: self.received.content(), source, parameters, drift }
     }
 
     /// A decoder for its frames.
@@ -149,7 +170,7 @@ pub(super) fn no_change(source: &Scene) -> Parameters {
     Parameters::zeros(&source.epochs().iter().map(Epoch::count).collect::<Vec<_>>())
 }
 
-fn blocks(content: &Content<'_>, epoch: EpochId) -> Vec<Block> {
+fn blocks(content: &Content<'_>, epoch: EpochId, decisions: &Decisions) -> Vec<Block> {
     let (span, mut first) = (Span::Canonical(epoch), 0);
     let mut blocks = Vec::new();
     let Some(clusters) = content.manifest.clusters_of(span) else { return blocks };
@@ -157,11 +178,13 @@ fn blocks(content: &Content<'_>, epoch: EpochId) -> Vec<Block> {
         let Some(shape) = Shape::of(content.manifest, span, cluster) else { continue };
         let Some(cell) = content.cell(span, cluster) else { continue };
         let end = first + shape.gaussians();
+        let quantisers = steps::row(decisions, usize::from(epoch.0), usize::from(cluster.0));
         for index in 0..shape.blocks() {
             let count = if shape.blocks() == 1 { shape.gaussians() } else { shape.block_gaussians(index) };
             let gaussians = first..(first + count).min(end);
             first = gaussians.end;
-            blocks.push(Block { gaussians, canonical: cell.blocks as usize + index, cluster, index });
+            let canonical = cell.blocks as usize + index;
+            blocks.push(Block { gaussians, canonical, cluster, index, quantisers });
         }
         first = end;
     }
@@ -173,6 +196,8 @@ pub(super) struct Moving<'a> {
     coded: &'a Coded,
     content: Content<'a>,
     source: &'a Scene,
+    /// Parameters as they are now.
+    parameters: &'a Parameters,
     /// What parameters have changed since, in their order; empty if nothing has.
     drift: Vec<Values>,
 }
@@ -232,7 +257,7 @@ impl Moving<'_> {
         let degree = shown.sh_degree;
         let mut out = Shown { gaussians: shown.gaussians.to_vec(), sh_rest: shown.sh_rest.to_vec(), degree };
         if !self.drift.is_empty() {
-            self.each(state, frame, |decoded, parameter, follows| {
+            self.each(state, frame, |(_, decoded), parameter, follows| {
                 let gaussian = &mut out.gaussians[decoded];
                 *gaussian = follows.moved(gaussian, &self.drift[parameter]);
             });
@@ -240,24 +265,44 @@ impl Moving<'_> {
         Ok(out)
     }
 
-    /// Adds the gradient by the Gaussians of `shown` to that by their parameters, in the order of parameters.
+    /// Adds the gradient by the Gaussians of `shown` to that by their parameters, in the order of parameters,
+    /// and to that by the steps which they are coded with.
     pub(super) fn pull(
         &self,
         shown: &Shown,
         by: &[SplatGradient],
         (state, frame): (&[u8], u32),
-        gradient: &mut [[f64; COMPONENTS]],
+        gradient: &mut Gradient,
     ) {
-        self.each(state, frame, |decoded, parameter, follows| {
+        let (e, t) = self.place(frame);
+        let source = self.source.epochs().get(e).map(|epoch| epoch.instant(t).gaussians).unwrap_or_default();
+        let first = self.parameters.first_of(e);
+        self.each(state, frame, |(block, decoded), parameter, follows| {
             let pulled = follows.pulled(&by[decoded], &shown.gaussians[decoded]);
-            let sums = &mut gradient[parameter];
+            let sums = &mut gradient.parameters[parameter];
             sums.iter_mut().zip(pulled).for_each(|(sum, value)| *sum += f64::from(value));
+            // What is missing of motion is no error of quantisation.
+            let (_, motion) = self.masks(block, frame);
+            let moves_whole =
+                motion.is_none_or(|mask| state.get(mask).is_some_and(|&m| Arrived(m).usable() == 4));
+            let Some(values) = self.parameters.epoch(e).get(parameter - first).filter(|_| moves_whole) else {
+                return;
+            };
+            let Some(error) = follows.error(&source[parameter - first], values, &shown.gaussians[decoded])
+            else {
+                return;
+            };
+            let sums = &mut gradient.steps[block.quantisers];
+            for (sum, (_, components)) in sums.iter_mut().zip(&LEARNED) {
+                let product = |c: usize| f64::from(pulled[c]) * f64::from(error[c]);
+                *sum += components.clone().map(product).sum::<f64>();
+            }
         });
     }
 
-    /// Calls `visit` with each Gaussian that `state` shows and that has parameters: its index in a decoded
-    /// frame, that of its parameters, and how it follows them.
-    fn each(&self, state: &[u8], frame: u32, mut visit: impl FnMut(usize, usize, Follows)) {
+    /// Calls `visit` with each Gaussian that `state` shows and that has parameters: its block and its index in
+    /// a decoded frame, the index of its parameters, and how it follows them.
+    fn each(&self, state: &[u8], frame: u32, mut visit: impl FnMut((&Block, usize), usize, Follows)) {
         let (e, t) = self.place(frame);
         let Coded { encoded, parameters, axes, .. } = self.coded;
         let (Some(epoch), Some(order)) = (self.source.epochs().get(e), encoded.order.get(e)) else {
@@ -271,10 +316,10 @@ impl Moving<'_> {
                 for decoded in block.gaussians.clone() {
                     let source = order[decoded] as usize;
                     let follows = Follows::Source(Anchor::of(epoch, source, t), axes[e][decoded]);
-                    visit(decoded, first + source, follows);
+                    visit((block, decoded), first + source, follows);
                 }
             } else if let Some(&size) = sizes.get(number).filter(|_| !block.gaussians.is_empty()) {
-                visit(block.gaussians.start, first_proxy + number, Follows::Proxy(size));
+                visit((block, block.gaussians.start), first_proxy + number, Follows::Proxy(size));
             }
         }
     }
@@ -325,6 +370,70 @@ mod tests {
                 assert!(far < 0.5 * size(&other), "{far} {other:?}");
             }
         }
+    }
+
+    /// Of a linear function of what a state shows, by all quantisation errors together: what it changes where
+    /// every decoded Gaussian moves along its error.
+    #[test]
+    fn slopes_by_steps_are_differences_along_quantisation_errors() {
+        let (scene, _) = study(3, 1);
+        let coarse = encode::EncodeOptions { quality: encode::Quality::default().scaled(6.0), ..options() };
+        let coded = Coded::first(&scene, &coarse).unwrap();
+        let mut parameters = no_change(&scene);
+        for (i, values) in parameters.all_mut().enumerate() {
+            *values = std::array::from_fn(|c| 0.1 * (((i * 31 + c * 17) % 19) as f32 / 9.0 - 1.0));
+        }
+        let coded = Coded::again(&scene, &parameters, &coded.encoded.decisions).unwrap();
+        let moving = coded.moving(&scene, &parameters);
+        let (complete, frame) = (coded.received.content().blocks.to_vec(), 2);
+        let shown = moving.shown(&mut coded.player(), &complete, frame).unwrap();
+        let by = |i: usize| SplatGradient {
+            position: [0.3, -0.7, 0.2].map(|v| v + 0.01 * (i % 7) as f32),
+            log_scale: [0.5, -0.1, 0.9],
+            opacity_logit: 0.35,
+            sh0: [0.1, -0.2, 0.3 + 0.02 * (i % 5) as f32],
+            ..Default::default()
+        };
+        let slopes: Vec<SplatGradient> = (0..shown.gaussians.len()).map(by).collect();
+        let rows = steps::rows(&coded.encoded.decisions);
+        let mut gradient = Gradient::zeros(parameters.count(), rows);
+        moving.pull(&shown, &slopes, (&complete, frame), &mut gradient);
+
+        let value = |g: &Gaussian, by: &SplatGradient| -> f64 {
+            let dot =
+                |a: [f32; 3], b: [f32; 3]| -> f64 { (0..3).map(|d| f64::from(a[d]) * f64::from(b[d])).sum() };
+            let logit = (f64::from(g.opacity) / (1.0 - f64::from(g.opacity))).ln();
+            dot(g.position, by.position)
+                + dot(g.scale.map(f32::ln), by.log_scale)
+                + dot(g.sh0, by.sh0)
+                + logit * f64::from(by.opacity_logit)
+        };
+        let source = parameters.applied(&scene).unwrap().instant(frame as usize).unwrap();
+        let mut along = 0.0;
+        moving.each(&complete, frame, |(_, decoded), parameter, follows| {
+            let zero = [0.0; crate::train::delivery::parameters::COMPONENTS];
+            let (g, by) = (&shown.gaussians[decoded], &slopes[decoded]);
+            let error = follows.error(&source.gaussians[parameter], &zero, g).unwrap();
+            let at = |h: f32| value(&follows.moved(g, &error.map(|e| h * e)), by);
+            along += (at(0.05) - at(-0.05)) / 0.1;
+        });
+        let found: f64 = gradient.steps.as_flattened().iter().sum();
+        assert!(along.abs() > 0.01, "{along}");
+        assert!((found / along - 1.0).abs() < 0.02, "{found} {along}");
+        // Missing motion is no error of quantisation.
+        let missing: Vec<u8> = moving
+            .blocks(frame)
+            .iter()
+            .flat_map(|b| moving.masks(b, frame).1)
+            .fold(complete, |mut state, mask| {
+                state[mask] = 0;
+                state
+            })
+            .clone();
+        let shown = moving.shown(&mut coded.player(), &missing, frame).unwrap();
+        let mut gradient = Gradient::zeros(parameters.count(), rows);
+        moving.pull(&shown, &slopes, (&missing, frame), &mut gradient);
+        assert_eq!(gradient.steps.as_flattened().iter().sum::<f64>(), 0.0);
     }
 
     /// A change that is encoded is the change that was only moved, within the quantisers' steps.

@@ -221,6 +221,9 @@ pub struct DeliveryOptions {
     pub recorded: Option<PathBuf>,
     /// Largest steps.
     pub learning_rates: LearningRates,
+    /// Whether the quantisers' steps are learned too, after the warm-up: at the size that the encoder's would
+    /// give, or at the price of `weights.rate` where that is not 0.
+    pub learn_steps: bool,
     /// Updates between two encodings, at least 1: in between, decoded values move with their parameters.
     pub encode_every: usize,
     /// How candidates are compared.
@@ -248,6 +251,7 @@ impl Default for DeliveryOptions {
             channel: ChannelRanges::default(),
             recorded: None,
             learning_rates: LearningRates::default(),
+            learn_steps: true,
             encode_every: 4,
             validation: Validation::default(),
             registration: None,

@@ -8,10 +8,11 @@ use render_host::Settings;
 use super::{
     adam::Adam,
     channel::LossModel,
-    coded::{Coded, with_proxies},
+    coded::Coded,
     config::{DeliveryOptions, LearningRates, Variant, Weights},
     error::DeliveryError,
     evaluate::evaluate_coded,
+    gradient::Gradient,
     masks::{Masks, Purpose, Sampler, random, share_arrived},
     monotone::PREFIXES,
     objective::{self, Terms, Worlds},
@@ -19,9 +20,13 @@ use super::{
     rate_model::RateModel,
     record::{Record, Registration, hex},
     select::{Candidate, select},
+    steps::{self, Steps},
     view::{Reference, View, views},
 };
-use crate::{encode::Decisions, scene::Scene};
+use crate::{
+    encode::{Decisions, EncodeError},
+    scene::Scene,
+};
 
 /// What a caller hears after each update.
 #[derive(Clone, Copy, Debug)]
@@ -92,10 +97,10 @@ pub fn fine_tune(
         registration.write(path)?;
     }
 
-    let decisions = coded.encoded.decisions.clone();
-    let mut candidates: Vec<(Candidate, Parameters)> = Vec::new();
+    let mut coding = Coding::new(scene, &coded, options)?;
+    let mut candidates: Vec<(Candidate, Parameters, Decisions)> = Vec::new();
     let mut coded = coded;
-    let mut rate_model = RateModel::of(scene, &run.parameters, &decisions);
+    let mut rate_model = RateModel::of(scene, &run.parameters, &coded.encoded.decisions);
     let mut adam = Adam::new(run.parameters.count());
     let mut record = Record {
         registration,
@@ -107,8 +112,11 @@ pub fn fine_tune(
     };
     for update in 0..=options.updates {
         if update > 0 && (update.is_multiple_of(options.encode_every) || run.is_candidate(update)) {
-            coded = Coded::again(scene, &run.parameters, &decisions)?;
-            rate_model = RateModel::of(scene, &run.parameters, &decisions);
+            if update > run.warm_up() {
+                coding.steps.advance();
+            }
+            coded = coding.again(&run.parameters)?;
+            rate_model = RateModel::of(scene, &run.parameters, &coded.encoded.decisions);
         }
         if run.is_candidate(update) {
             let moving = coded.moving(scene, &run.parameters);
@@ -120,7 +128,7 @@ pub fn fine_tune(
                 clean_db: found.clean_db,
                 wire_bytes: found.wire_bytes,
             };
-            candidates.push((candidate, run.parameters.clone()));
+            candidates.push((candidate, run.parameters.clone(), coded.encoded.decisions.clone()));
         }
         if update == options.updates {
             break;
@@ -132,16 +140,77 @@ pub fn fine_tune(
             return Err(DeliveryError::Diverged { update, found: heard.objective });
         }
         let share = update as f64 / options.updates as f64;
-        adam.step(&mut run.parameters, &gradient, &rates(&options.learning_rates, 0.1f64.powf(share)));
+        coding.steps.hear(&gradient.steps);
+        adam.step(
+            &mut run.parameters,
+            &gradient.parameters,
+            &rates(&options.learning_rates, 0.1f64.powf(share)),
+        );
         if progress(&heard).is_break() {
             break;
         }
     }
-    record.candidates = candidates.iter().map(|(candidate, _)| *candidate).collect();
+    record.candidates = candidates.iter().map(|(candidate, ..)| *candidate).collect();
     record.taken = select(&record.candidates);
-    let parameters = record.taken.map_or(&run.parameters, |taken| &candidates[taken].1);
-    let decisions = with_proxies(&decisions, parameters);
+    let (parameters, decisions) = match record.taken {
+        Some(taken) => {
+            let (_, parameters, decisions) = candidates.swap_remove(taken);
+            (parameters, decisions)
+        }
+        None => {
+            let decisions = coding.again(&run.parameters)?.encoded.decisions;
+            (run.parameters, decisions)
+        }
+    };
     Ok(FineTuned { scene: parameters.applied(scene)?, decisions, record })
+}
+
+/// How a scene is coded while its parameters and steps change.
+struct Coding<'a> {
+    scene: &'a Scene,
+    /// What the encoder chose.
+    decisions: Decisions,
+    steps: Steps,
+    table_choices: usize,
+    /// Values beyond the range of their symbols that the encoder's own steps leave.
+    saturated: u64,
+}
+
+impl<'a> Coding<'a> {
+    /// As in `coded`, the encoding of `scene` under `options`.
+    ///
+    /// # Errors
+    /// What the encoder refuses of other steps.
+    fn new(scene: &'a Scene, coded: &Coded, options: &DeliveryOptions) -> Result<Self, DeliveryError> {
+        let (encoded, table_choices) = (&coded.encoded, options.encode.table_choices);
+        let decisions = encoded.decisions.clone();
+        let gaussians = encoded.order.iter().map(Vec::len).sum::<usize>().max(1);
+        // R is in kilobits per Gaussian.
+        let price = 8.0 * options.variant.weights(&options.weights).rate / (1000.0 * gaussians as f64);
+        let steps = match options.learn_steps {
+            true => Steps::learned(scene, encoded, table_choices, price)?,
+            false => Steps::fixed(&decisions),
+        };
+        Ok(Self { scene, decisions, steps, table_choices, saturated: encoded.report.ledger.saturated })
+    }
+
+    /// The scene with `parameters`, coded with the steps of now, or with those before their last change where
+    /// these do not fit packets or symbols.
+    ///
+    /// # Errors
+    /// As [`Coded::again`].
+    fn again(&mut self, parameters: &Parameters) -> Result<Coded, DeliveryError> {
+        let coded = |steps: &Steps| {
+            Coded::with_tables(self.scene, parameters, &steps.of(&self.decisions), self.table_choices)
+        };
+        let first = coded(&self.steps);
+        let fits = match &first {
+            Ok(coded) => coded.encoded.report.ledger.saturated <= self.saturated,
+            Err(DeliveryError::Encode(EncodeError::BlockTooLarge { .. })) => false,
+            Err(_) => true,
+        };
+        if fits || !self.steps.step_back() { first } else { coded(&self.steps) }
+    }
 }
 
 /// References for training and for validation.
@@ -260,11 +329,11 @@ impl Training<'_> {
         coded: &Coded,
         rate_model: &RateModel,
         settings: &Settings,
-    ) -> Result<(Terms, Vec<[f64; COMPONENTS]>, Update), DeliveryError> {
+    ) -> Result<(Terms, Gradient, Update), DeliveryError> {
         let (_, weights) = self.objective_of(update);
         let moving = coded.moving(self.scene, &self.parameters);
-        let count = self.parameters.count();
-        let (mut terms, mut gradient) = (Terms::default(), vec![[0.0; COMPONENTS]; count]);
+        let rows = steps::rows(&coded.encoded.decisions);
+        let (mut terms, mut gradient) = (Terms::default(), Gradient::zeros(self.parameters.count(), rows));
         let share = 1.0 / self.options.views as f64;
         let mut arrived = 0.0;
         for view in 0..self.options.views {
@@ -275,9 +344,10 @@ impl Training<'_> {
             let found = objective::differentiate(&moving, &worlds, view, &weights, settings, &mut gradient)?;
             terms.add(&found, share);
         }
-        gradient.iter_mut().flatten().for_each(|g| *g *= share);
+        gradient.scale(share);
         if weights.rate > 0.0 {
-            terms.rate = rate_model.differentiate(self.scene, &self.parameters, weights.rate, &mut gradient);
+            let (weight, parameters) = (weights.rate, &mut gradient.parameters);
+            terms.rate = rate_model.differentiate(self.scene, &self.parameters, weight, parameters);
         }
         let objective = terms.total(&weights);
         let (updates, of, expected) = (update + 1, self.options.updates, terms.expected);

@@ -13,8 +13,8 @@ use super::{
     coded::{Moving, Shown},
     config::Weights,
     error::DeliveryError,
+    gradient::Gradient,
     monotone::{self, PREFIXES},
-    parameters::COMPONENTS,
     shared_worlds::{SharedWorlds, distortion},
     tail,
     temporal::{self, WorldLoss},
@@ -95,7 +95,7 @@ struct Slopes {
 }
 
 /// Terms of `worlds` in `view`, but for the rate, and the gradient of their sum weighted by `weights`: added
-/// to `gradient`, one entry per source Gaussian. All worlds are measured together, so that the tail is known;
+/// to `gradient`. All worlds are measured together, so that the tail is known;
 /// then each is differentiated with its own weight.
 ///
 /// # Errors
@@ -106,7 +106,7 @@ pub(super) fn differentiate(
     view: &View,
     weights: &Weights,
     settings: &Settings,
-    gradient: &mut [[f64; COMPONENTS]],
+    gradient: &mut Gradient,
 ) -> Result<Terms, DeliveryError> {
     let uses_prefixes = weights.anchor > 0.0 || weights.monotone > 0.0;
     let mut distinct = Distinct::default();
@@ -157,7 +157,7 @@ pub(super) fn differentiate(
         let found: Result<Vec<_>, DeliveryError> = jobs
             .par_iter()
             .map(|&s| {
-                let mut own = vec![[0.0; COMPONENTS]; gradient.len()];
+                let mut own = Gradient::empty_like(gradient);
                 let world = World { moving, view, settings: &settings, state: &states[s] };
                 let temporal = world.differentiate(slopes[s], &against, &mut own)?;
                 Ok((temporal, own))
@@ -167,9 +167,7 @@ pub(super) fn differentiate(
             if weights.temporal > 0.0 {
                 terms.temporal += temporal * slopes[s].temporal / weights.temporal;
             }
-            for (sums, own) in gradient.iter_mut().zip(&own) {
-                sums.iter_mut().zip(own).for_each(|(sum, own)| *sum += own);
-            }
+            gradient.add(&own);
         }
     }
     Ok(terms)
@@ -190,7 +188,7 @@ impl World<'_> {
         &self,
         slopes: Slopes,
         against: &Distortion,
-        gradient: &mut [[f64; COMPONENTS]],
+        gradient: &mut Gradient,
     ) -> Result<f64, DeliveryError> {
         let Self { view, .. } = self;
         let mut workspace = Workspace::new();
@@ -221,7 +219,7 @@ impl World<'_> {
         shown: &Shown,
         frame: u32,
         loss: &WorldLoss<'_>,
-        gradient: &mut [[f64; COMPONENTS]],
+        gradient: &mut Gradient,
     ) -> Result<Gradients, DeliveryError> {
         let mut found = Gradients::default();
         let splats = shown.splats()?;

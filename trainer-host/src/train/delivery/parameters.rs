@@ -9,6 +9,7 @@ use codec_core::Gaussian;
 use glam::{Quat, Vec3};
 use render_host::adjoint::SplatGradient;
 
+use super::steps;
 use crate::{
     encode::decisions::ProxyChange,
     scene::{Attributes, Epoch, Scene, SceneError, Track},
@@ -16,10 +17,10 @@ use crate::{
 
 /// Parameters of a Gaussian: centre 3, log-scale 3, turn 3 (radians), opacity logit, band 0 of colour 3.
 pub(super) const COMPONENTS: usize = 13;
-const SCALE: usize = 3;
-const TURN: usize = 6;
-const OPACITY: usize = 9;
-const COLOUR: usize = 10;
+pub(super) const SCALE: usize = 3;
+pub(super) const TURN: usize = 6;
+pub(super) const OPACITY: usize = 9;
+pub(super) const COLOUR: usize = 10;
 
 /// The 13 parameters of one Gaussian.
 pub(super) type Values = [f32; COMPONENTS];
@@ -190,6 +191,13 @@ impl Follows {
         }
     }
 
+    /// How far `decoded` is from `source` with its parameters `values`, in parameters; none of a proxy.
+    pub(super) fn error(&self, source: &Gaussian, values: &Values, decoded: &Gaussian) -> Option<Values> {
+        let Self::Source(anchor, axes) = *self else { return None };
+        let moved = anchor.moved(source, [0, 1, 2], values);
+        Some(steps::error(&moved, anchor.size, decoded, axes))
+    }
+
     /// The gradient of its parameters that the gradient `by` of `decoded` is.
     pub(super) fn pulled(&self, by: &SplatGradient, decoded: &Gaussian) -> Values {
         match *self {
@@ -343,6 +351,30 @@ mod tests {
         let quarter = quat(gaussian.rotation) * Quat::from_rotation_z(std::f32::consts::FRAC_PI_2);
         gaussian.rotation = [quarter.w, quarter.x, quarter.y, quarter.z];
         assert_eq!(anchor.axes(&gaussian), [1, 0, 2]);
+    }
+
+    #[test]
+    fn errors_are_the_parameters_that_make_them() {
+        let source = scene();
+        let epoch = &source.epochs()[0];
+        for i in 0..50 {
+            let (anchor, gaussian) = (Anchor::of(epoch, i, 2), epoch.instant(2).gaussians[i]);
+            let values = change(i + 3).map(|v| 0.2 * v);
+            let mut decoded = anchor.moved(&gaussian, [0, 1, 2], &values);
+            // A quarter turn about its own z names x y and y −x.
+            let quarter = quat(decoded.rotation) * Quat::from_rotation_z(std::f32::consts::FRAC_PI_2);
+            decoded.rotation = [quarter.w, quarter.x, quarter.y, quarter.z];
+            decoded.scale.swap(0, 1);
+            let axes = [1, 0, 2];
+            let found = Follows::Source(anchor, axes).error(&gaussian, &[0.0; COMPONENTS], &decoded).unwrap();
+            for c in 0..COMPONENTS {
+                assert!((found[c] - values[c]).abs() < 1e-3, "{i} {c}: {} {}", found[c], values[c]);
+            }
+            let wrong = steps::error(&gaussian, anchor.size, &decoded, [0, 1, 2]);
+            assert!(wrong[SCALE..TURN] != found[SCALE..TURN], "axes as they are named would be wrong");
+        }
+        let gaussian = epoch.instant(0).gaussians[0];
+        assert!(Follows::Proxy(1.0).error(&gaussian, &change(0), &gaussian).is_none());
     }
 
     #[test]

@@ -8,7 +8,8 @@ use crate::{
         LossModel, LossUnit, Masks,
         coded::Coded,
         masks::Sampler,
-        parameters::Parameters,
+        parameters::{COMPONENTS, Parameters},
+        steps,
         view::{tests::study, views},
     },
 };
@@ -44,10 +45,10 @@ impl Study {
     fn terms(&self, parameters: &Parameters, weights: &Weights) -> (Terms, Vec<[f64; COMPONENTS]>) {
         let moving = self.coded.moving(&self.scene, parameters);
         let worlds = Worlds { states: &self.states, prefixes: &self.prefixes };
-        let mut gradient = vec![[0.0; COMPONENTS]; parameters.count()];
+        let mut gradient = Gradient::zeros(parameters.count(), steps::rows(&self.coded.encoded.decisions));
         let settings = Settings::exact();
         let terms = differentiate(&moving, &worlds, &self.view, weights, &settings, &mut gradient).unwrap();
-        (terms, gradient)
+        (terms, gradient.parameters)
     }
 
     /// The objective at `parameters` with the shorter prefix of each step as it was in `fixed`.
