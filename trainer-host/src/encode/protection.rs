@@ -25,8 +25,8 @@ pub struct Protection {
 /// Why a protection cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "repair: {found:?} is not known; none, standard, or a list of KIND=K+R is allowed, with KIND one of \
-     base, tracks, 1, 2, 3, K packets in a set 2 to 64 and R parity packets 1 to 8 (base=16+4,tracks=8+2)"
+    "repair: {found:?} is not known; none, standard, strong, or a list of KIND=K+R is allowed, with KIND one \
+     of base, tracks, 1, 2, 3, K packets in a set 2 to 64 and R parity packets 1 to 8 (base=16+4,tracks=8+2)"
 )]
 pub struct ProtectionError {
     /// The part at fault.
@@ -45,13 +45,21 @@ impl Protection {
         refinements: [None; 3],
     };
 
+    /// For links over which nothing is sent again: half on top of what everything else stands on, a quarter on
+    /// the first refinement.
+    pub const STRONG: Self = Self {
+        base: Some(Strength { set_len: 16, parity: 8 }),
+        tracks: Some(Strength { set_len: 8, parity: 4 }),
+        refinements: [Some(Strength { set_len: 16, parity: 4 }), None, None],
+    };
+
     /// One XOR parity packet per `set_len` packets of base levels.
     pub const fn xor(set_len: u8) -> Self {
         let strength = Some(Strength { set_len, parity: 1 });
         Self { base: strength, tracks: strength, refinements: [None; 3] }
     }
 
-    /// Reads `none`, `standard`, or a list as `base=16+4,tracks=8+2,1=20+2`.
+    /// Reads `none`, `standard`, `strong`, or a list as `base=16+4,tracks=8+2,1=20+2`.
     ///
     /// # Errors
     /// Names the part that cannot be read.
@@ -59,6 +67,7 @@ impl Protection {
         match text {
             "none" => return Ok(Self::NONE),
             "standard" => return Ok(Self::STANDARD),
+            "strong" => return Ok(Self::STRONG),
             _ => {}
         }
         let mut this = Self::NONE;
@@ -131,6 +140,8 @@ mod tests {
         assert_eq!(Protection::parse("none"), Ok(Protection::NONE));
         assert_eq!(Protection::parse("standard"), Ok(Protection::STANDARD));
         assert_eq!(Protection::parse("base=16+4,tracks=8+2"), Ok(Protection::STANDARD));
+        assert_eq!(Protection::parse("strong"), Ok(Protection::STRONG));
+        assert_eq!(Protection::parse("base=16+8,tracks=8+4,1=16+4"), Ok(Protection::STRONG));
         let one = Protection::parse("2=64+8").unwrap();
         assert_eq!(one.of(true, Level::ALL[2]), Some(Strength { set_len: 64, parity: 8 }));
         assert_eq!(one.of(false, Level::BASE), None);

@@ -127,12 +127,12 @@ impl Study {
         Ok(Self { scene, training, test, encoded, coding, size })
     }
 
-    /// The same with the parity that streams have by default when they are sent.
+    /// The same with parity of `repair`.
     ///
     /// # Errors
     /// What the encoder refuses.
-    pub(super) fn protected(self) -> Result<Self> {
-        let coding = EncodeOptions { repair: Protection::STANDARD, ..self.coding };
+    pub(super) fn protected(self, repair: Protection) -> Result<Self> {
+        let coding = EncodeOptions { repair, ..self.coding };
         let encoded = encode::encode(&self.scene, &coding, &trainer_host::encode::unheard)?;
         Ok(Self { encoded, coding, ..self })
     }

@@ -1,6 +1,7 @@
 //! Erasure study: a scene trained for delivery against the same scene trained without, in the same states.
 
 use anyhow::Result;
+use trainer_host::encode::Protection;
 use trainer_host::train::delivery::{DeliveryOptions, Evaluation, FineTuned, LossModel, Validation, Variant};
 
 use super::delivery::{BURST, Size, Study};
@@ -23,13 +24,15 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         "trained: variant mixed, the candidate that validation takes; untrained: variant reconstruction with \
          as many complete pictures per update as mixed has worlds, taken by the same rule; the same states \
          per loss for both; no retransmission, `repaired`: with the parity that streams have by default when \
-         they are sent; PSNR on held-out pictures, drop: below the own complete state, cliffs: states more \
+         they are sent, `strong`: with `--repair strong`; PSNR on held-out pictures, drop: below the own complete state, cliffs: states more \
          than 3 dB below it; gain: mean over states of trained less untrained, paired bootstrap over states",
     );
     let sheet = Study::make(size)?;
     let words = size.words();
     measure(&mut bench, ("", &words), &sheet)?;
-    measure(&mut bench, ("repaired.", "the same"), &sheet.protected()?)?;
+    let sheet = sheet.protected(Protection::STANDARD)?;
+    measure(&mut bench, ("repaired.", "the same"), &sheet)?;
+    measure(&mut bench, ("strong.", "the same"), &sheet.protected(Protection::STRONG)?)?;
     if setup.quick {
         return Ok(bench);
     }
@@ -38,9 +41,12 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         let study = Study::of_photographs(&path, Size { seeds: 1, ..size })?;
         let words = study.photographs_in_words(name);
         measure(&mut bench, ("bouncingballs.", &words), &study)?;
-        let study = study.protected()?;
-        let words = format!("the same, {} packets", study.encoded.stream.packets().len());
-        measure(&mut bench, ("bouncingballs.repaired.", &words), &study)?;
+        let mut study = study;
+        for (prefix, repair) in [("repaired", Protection::STANDARD), ("strong", Protection::STRONG)] {
+            study = study.protected(repair)?;
+            let words = format!("the same, {} packets", study.encoded.stream.packets().len());
+            measure(&mut bench, (&format!("bouncingballs.{prefix}."), &words), &study)?;
+        }
     }
     Ok(bench)
 }
@@ -95,6 +101,7 @@ fn push(bench: &mut Bench, name: &str, [trained, untrained]: &[Vec<Evaluation>; 
         figure.ratio = None;
         bench.push(figure);
     };
+    figure("bytes", "of packets and manifest", |e| e.wire_bytes as f64);
     figure("clean", "dB", |e| e.clean_db);
     figure("psnr", "dB", Evaluation::mean_db);
     figure("drop", "dB", |e| e.clean_db - e.mean_db());
