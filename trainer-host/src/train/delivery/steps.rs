@@ -1,14 +1,16 @@
 //! Learns quantiser steps, straight through their rounding.
 //!
-//! A quantised value is `v̂ = s · round(v / s)`. With the slope of the rounding taken as 1, as the straight-through
-//! estimator does, `∂v̂ / ∂ ln s = v̂ − v` at every level: nested steps are multiples of the last one. So the
-//! slope of the objective by a step is the sum, over the values that share it, of the value's gradient times its
-//! quantisation error. Source: paper section 3; Esser et al., "Learned Step Size Quantization" (2020), equation 3.
+//! A quantised value is `v̂ = s · round(v / s)`. With the slope of the rounding taken as 1, as the
+//! straight-through estimator does, `∂v̂ / ∂ ln s = v̂ − v` at every level: nested steps are multiples of the
+//! last one. So the slope of the objective by a step is the sum, over the values that share it, of the value's
+//! gradient times its quantisation error. Source: paper section 3; Esser et al., "Learned Step Size
+//! Quantization" (2020), equation 3.
 //!
-//! What a step saves is measured: the scene is coded with that step longer and its bytes are counted. Where no
-//! other steps of the same size are better, all have the same slope per byte. The objective grows with the square
-//! of a step, so `ln s` moves by half the logarithm of what its slope per byte is over that, damped. A change of
-//! all steps together keeps the size that the encoder's steps would give, or follows the price of a byte where the objective has one (λr R).
+//! What a step saves is measured: the scene is coded with that step longer and shorter and bytes are counted.
+//! Where no other steps of the same size are better, all have the same slope per byte. The objective grows
+//! with the square of a step, so `ln s` moves by half the logarithm of what its slope per byte is over that,
+//! damped. A change of all steps together keeps the size that the encoder's steps would give, or follows the
+//! price of a byte where the objective has one (λr R).
 
 use std::ops::Range;
 
@@ -22,7 +24,7 @@ use super::{
 };
 use crate::{
     encode::{
-        self, Decisions, Encoded,
+        self, Decisions, EncodeError, Encoded,
         decisions::{QuantiserDecision, Quantisers},
     },
     scene::Scene,
@@ -92,7 +94,7 @@ impl Steps {
     /// to a set. A byte costs `price` of the objective; where that is 0, all steps together save nothing.
     ///
     /// # Errors
-    /// What the encoder refuses of coarser steps.
+    /// What the encoder refuses of other steps, but for a block that is too large for a packet: that step stays.
     pub(super) fn learned(
         scene: &Scene,
         encoded: &Encoded,
@@ -101,18 +103,19 @@ impl Steps {
     ) -> Result<Self, DeliveryError> {
         let decisions = &encoded.decisions;
         let mut steps = Self::fixed(decisions);
-        let bytes_with = |factors: &[PerClass]| -> Result<f64, DeliveryError> {
-            let scaled = scaled(decisions, factors);
-            let encoded = encode::with_levels(scene, &scaled, &[], table_choices, &encode::unheard)?;
-            Ok(encoded.report.ledger.wire())
+        let bytes_with = |place: usize, factor: f64| -> Result<Option<f64>, DeliveryError> {
+            let mut factors = steps.factors.clone();
+            factors.as_flattened_mut()[place] = factor;
+            let scaled = scaled(decisions, &factors);
+            match encode::with_levels(scene, &scaled, &[], table_choices, &encode::unheard) {
+                Ok(encoded) => Ok(Some(encoded.report.ledger.wire())),
+                Err(EncodeError::BlockTooLarge { .. }) => Ok(None),
+                Err(error) => Err(error.into()),
+            }
         };
         let probed = |place: usize| {
-            let with = |factor: f64| {
-                let mut factors = steps.factors.clone();
-                factors.as_flattened_mut()[place] = factor;
-                bytes_with(&factors)
-            };
-            Ok((with(-PROBE)? - with(PROBE)?) / (2.0 * PROBE))
+            let both = bytes_with(place, -PROBE)?.zip(bytes_with(place, PROBE)?);
+            Ok(both.map_or(0.0, |(shorter, longer)| (shorter - longer) / (2.0 * PROBE)))
         };
         let places = 0..steps.factors.as_flattened().len();
         let probed: Result<Vec<f64>, DeliveryError> = places.into_par_iter().map(probed).collect();
