@@ -358,6 +358,18 @@ fn a_stream_is_cut_and_saved_as_it_arrived() {
     assert!(stopped(at, &["cut", "a.dgs", "x.dgs"], 1).contains("nothing to leave out"));
     assert_ne!(frame("half.dgs", "2"), frame("a.dgs", "2"), "levels are missing");
 
+    // Window after window the same packets lie in the file; live they come while the clip lasts.
+    ok(at, &["cut", "a.dgs", "ordered.dgs", "--by-window"]);
+    let read = |name: &str| fs::read(at.join(name)).unwrap();
+    assert!(size("ordered.dgs") == size("a.dgs") && read("ordered.dgs") != read("a.dgs"));
+    assert_eq!(digest(&["ordered.dgs"]), digest(&["a.dgs"]));
+    let begin = std::time::Instant::now();
+    let output = dgs(at, &["cut", "a.dgs", "-", "--live"]);
+    assert!(output.status.success() && output.stdout == read("ordered.dgs"));
+    // Windows of 4 frames of 12 at 30 frames per second.
+    assert!(begin.elapsed().as_secs_f64() > 8.0 / 30.0);
+    assert!(stopped(at, &["cut", "a.dgs", "x.dgs", "--live"], 1).contains("- is allowed"));
+
     let lossy = ["--burst-loss", "0.2", "--policy", "layered", "--load", "2"];
     let said = json(at, &[&["stream", "a.dgs", "--out", "arrived.dgs"], &lossy[..]].concat());
     let arrived = said["arrived_packets"].as_u64().unwrap();

@@ -29,4 +29,12 @@ pub struct Cut {
     /// more is passed over for what does, and parity comes last.
     #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u64).range(1..))]
     pub bytes: Option<u64>,
+    /// Write packets window after window, as an encoder does that follows a recording; else they lie by
+    /// level, or by what they add to the picture where utilities are beside INPUT.
+    #[arg(long)]
+    pub by_window: bool,
+    /// The same to standard output, each window when its first frame is due: what `dgs serve -` reads
+    /// (`dgs cut clip.dgs - --live | dgs serve -`).
+    #[arg(long)]
+    pub live: bool,
 }

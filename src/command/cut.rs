@@ -2,6 +2,7 @@
 
 mod budget;
 mod parity;
+mod windows;
 
 use std::{
     ops::Range,
@@ -24,8 +25,12 @@ use crate::{
 /// Runs the verb.
 pub fn run(args: &Cut) -> Result<VerbOutput> {
     files::check_stream(&args.out, &[&args.input])?;
-    if args.levels.is_none() && args.frames.is_none() && args.bytes.is_none() {
-        bail!("nothing to leave out: --levels, --frames or --bytes is needed");
+    let is_ordered = args.by_window || args.live;
+    if args.levels.is_none() && args.frames.is_none() && args.bytes.is_none() && !is_ordered {
+        bail!("nothing to leave out: --levels, --frames, --bytes, --by-window or --live is needed");
+    }
+    if args.live && !files::is_standard_output(&args.out) {
+        bail!("{}: --live writes to standard output; - is allowed", args.out.display());
     }
     let mut warnings = Vec::new();
     let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
@@ -76,11 +81,20 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
     let without = parity::left_out(&stream, &map, &stays);
     let cut = stream.with_packets(|id| stays[id]);
     let left = stays.iter().filter(|stays| **stays).count();
-    let bytes = match &table {
-        Some(table) if left > 0 => pipeline::file_by_utility(&cut, table)?,
-        _ => cut.to_bytes()?,
+    let len = if is_ordered {
+        let windows = windows::windows(&cut, &manifest, &map);
+        if args.live {
+            windows::write_live(&cut, &windows, manifest.frames_per_second())?
+        } else {
+            written(args, &windows::to_bytes(&cut, &windows)?)?
+        }
+    } else {
+        let by_utility = table.as_ref().filter(|_| left > 0);
+        written(
+            args,
+            &by_utility.map_or_else(|| Ok(cut.to_bytes()?), |t| pipeline::file_by_utility(&cut, t))?,
+        )?
     };
-    files::write(&args.out, &bytes)?;
     if let (Some(target), Some(bytes)) = (&target, &measured) {
         // They are of the groups that the manifest tells of, whatever packets are there.
         files::write(target, bytes)?;
@@ -90,7 +104,7 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
         "{} → {}: {left} of {there} packets, {} of {before} bytes{}\n",
         args.input.display(),
         args.out.display(),
-        bytes.len(),
+        len,
         ranking.map_or("", Ranking::sentence)
     );
     if without.packets > 0 {
@@ -100,7 +114,7 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
     let json = json!({
         "input": files::shown(&args.input), "out": files::shown(&args.out),
         "packets": left, "packets_before": there,
-        "bytes": bytes.len(), "bytes_before": before, "ranking": ranking.map(Ranking::name),
+        "bytes": len, "bytes_before": before, "ranking": ranking.map(Ranking::name),
         "parity_left_out": { "packets": without.packets, "bytes": without.bytes },
         "warnings": warnings,
     });
@@ -124,8 +138,20 @@ fn beside_output(out: &Path, bytes: &[u8], warnings: &mut Vec<String>) -> Option
     }
 }
 
+/// Writes the file of `args`; gives its length.
+fn written(args: &Cut, bytes: &[u8]) -> Result<usize> {
+    files::write(&args.out, bytes)?;
+    Ok(bytes.len())
+}
+
 /// Whether what a slice brings shows in any of `frames`.
 fn shows(manifest: &Manifest<'_>, placement: &SlicePlacement, frames: &Range<u32>) -> bool {
+    let covered = covered(manifest, placement);
+    covered.start < frames.end && frames.start < covered.end
+}
+
+/// The frames in which what a slice brings shows.
+fn covered(manifest: &Manifest<'_>, placement: &SlicePlacement) -> Range<u32> {
     let (first, count) = match placement.group.span {
         Span::Canonical(id) => {
             manifest.epochs().nth(id.0.into()).map_or((0, 0), |epoch| (epoch.first_frame, epoch.frames))
@@ -135,7 +161,7 @@ fn shows(manifest: &Manifest<'_>, placement: &SlicePlacement, frames: &Range<u32
             .nth(id.0.into())
             .map_or((0, 0), |window| (window.first_frame, u32::from(window.frames))),
     };
-    first < frames.end && frames.start < first.saturating_add(count)
+    first..first.saturating_add(count)
 }
 
 /// What decides which packets of too many stay.

@@ -42,8 +42,8 @@ const UNIMPAIRED: &str = "--impair is in front of UDP; pages that come by WebSoc
 
 /// A file lies by level.
 const NOT_BY_WINDOW: &str = "warning: packets of windows that were over came on standard input: viewers are \
-                             shown a stream that grows from its newest window on; a file as dgs encode \
-                             writes it is served by its name";
+                             shown a stream that grows from its newest window on; dgs cut FILE - --live \
+                             writes a file so, and dgs serve FILE serves it whole";
 
 /// What a server listens on says nothing of where viewers find it.
 const EVERYWHERE: &str = "--listen is every address of this machine; the URLs below are for this machine \
