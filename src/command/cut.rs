@@ -10,7 +10,7 @@ use std::{
 };
 
 use anyhow::{Context, Result, bail};
-use codec_core::internals::{ids::Span, wire::manifest::Manifest};
+use codec_core::internals::wire::manifest::Manifest;
 use serde_json::json;
 use trainer_host::stream::{PacketMap, SlicePlacement};
 
@@ -146,22 +146,8 @@ fn written(args: &Cut, bytes: &[u8]) -> Result<usize> {
 
 /// Whether what a slice brings shows in any of `frames`.
 fn shows(manifest: &Manifest<'_>, placement: &SlicePlacement, frames: &Range<u32>) -> bool {
-    let covered = covered(manifest, placement);
+    let covered = windows::covered(manifest, placement);
     covered.start < frames.end && frames.start < covered.end
-}
-
-/// The frames in which what a slice brings shows.
-fn covered(manifest: &Manifest<'_>, placement: &SlicePlacement) -> Range<u32> {
-    let (first, count) = match placement.group.span {
-        Span::Canonical(id) => {
-            manifest.epochs().nth(id.0.into()).map_or((0, 0), |epoch| (epoch.first_frame, epoch.frames))
-        }
-        Span::Motion(id) => manifest
-            .windows()
-            .nth(id.0.into())
-            .map_or((0, 0), |window| (window.first_frame, u32::from(window.frames))),
-    };
-    first..first.saturating_add(count)
 }
 
 /// What decides which packets of too many stay.

@@ -10,12 +10,13 @@ use std::{
 
 use anyhow::{Context, Result};
 use codec_core::internals::{
-    ids::PacketId,
+    ids::{PacketId, Span},
     wire::{file, manifest::Manifest},
 };
-use trainer_host::{Stream, stream::PacketMap};
-
-use super::covered;
+use trainer_host::{
+    Stream,
+    stream::{PacketMap, SlicePlacement},
+};
 
 /// Packets of one window of time.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -26,8 +27,8 @@ pub(super) struct Window {
     packets: Vec<PacketId>,
 }
 
-/// The packets of `stream` by the newest window that they bring something of; attributes of an epoch belong to
-/// its first frame, and parity to the last of the packets that it repairs.
+/// The packets of `stream` by the newest window that they bring something of; attributes of an epoch belong
+/// to its first frame, and parity to the last of the packets that it repairs.
 pub(super) fn windows(stream: &Stream, manifest: &Manifest<'_>, map: &PacketMap) -> Vec<Window> {
     let is_there = |id: usize| stream.packets().get(id).is_some_and(|packet| !packet.is_empty());
     // First frame and level of each packet of media.
@@ -59,6 +60,20 @@ pub(super) fn windows(stream: &Stream, manifest: &Manifest<'_>, map: &PacketMap)
         Window { first_frame, packets: packets.into_iter().map(|(_, id)| id).collect() }
     };
     windows.into_iter().map(window).collect()
+}
+
+/// The frames in which what a slice brings shows.
+pub(super) fn covered(manifest: &Manifest<'_>, placement: &SlicePlacement) -> Range<u32> {
+    let (first, count) = match placement.group.span {
+        Span::Canonical(id) => {
+            manifest.epochs().nth(id.0.into()).map_or((0, 0), |epoch| (epoch.first_frame, epoch.frames))
+        }
+        Span::Motion(id) => manifest
+            .windows()
+            .nth(id.0.into())
+            .map_or((0, 0), |window| (window.first_frame, u32::from(window.frames))),
+    };
+    first..first.saturating_add(count)
 }
 
 /// The file of `stream` with its packets in the order of `windows`.

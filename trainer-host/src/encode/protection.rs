@@ -45,8 +45,8 @@ impl Protection {
         refinements: [None; 3],
     };
 
-    /// For links over which nothing is sent again: half on top of what everything else stands on, a quarter on
-    /// the first refinement.
+    /// For links over which nothing is sent again: half on top of what everything else stands on, a quarter
+    /// on the first refinement.
     pub const STRONG: Self = Self {
         base: Some(Strength { set_len: 16, parity: 8 }),
         tracks: Some(Strength { set_len: 8, parity: 4 }),

@@ -16,9 +16,10 @@
 //! L = E[D] + λc CVaR(D) + λr R + λt F + λm M + λa D(complete),   D = MSE + 0.20 (1 − SSIM)
 //! ```
 //!
-//! Trained are canonical attributes, the steps that they and their motion are quantised with, and in `dgs1` the
-//! proxies that stand in for blocks whose base is missing. Equal inputs and seed give equal results on any number of threads. Deliberately absent: networks
-//! (emulator-host; its deliveries come as a file of states) and motion, which stays as the encoder chose it.
+//! Trained are canonical attributes, the steps that they and their motion are quantised with, and in `dgs1`
+//! the proxies that stand in for blocks whose base is missing. Equal inputs and seed give equal results on
+//! any number of threads. Deliberately absent: networks (emulator-host; its deliveries come as a file of
+//! states) and motion, which stays as the encoder chose it.
 
 mod adam;
 mod channel;

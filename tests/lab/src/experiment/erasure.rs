@@ -1,8 +1,10 @@
 //! Erasure study: a scene trained for delivery against the same scene trained without, in the same states.
 
 use anyhow::Result;
-use trainer_host::encode::Protection;
-use trainer_host::train::delivery::{DeliveryOptions, Evaluation, FineTuned, LossModel, Validation, Variant};
+use trainer_host::{
+    encode::Protection,
+    train::delivery::{DeliveryOptions, Evaluation, FineTuned, LossModel, Validation, Variant},
+};
 
 use super::delivery::{BURST, Size, Study};
 use crate::{
@@ -24,8 +26,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         "trained: variant mixed, the candidate that validation takes; untrained: variant reconstruction with \
          as many complete pictures per update as mixed has worlds, taken by the same rule; the same states \
          per loss for both; no retransmission, `repaired`: with the parity that streams have by default when \
-         they are sent, `strong`: with `--repair strong`; PSNR on held-out pictures, drop: below the own complete state, cliffs: states more \
-         than 3 dB below it; gain: mean over states of trained less untrained, paired bootstrap over states",
+         they are sent, `strong`: with `--repair strong`; PSNR on held-out pictures, drop: below the own \
+         complete state, cliffs: states more than 3 dB below it; gain: mean over states of trained less \
+         untrained, paired bootstrap over states",
     );
     let sheet = Study::make(size)?;
     let words = size.words();

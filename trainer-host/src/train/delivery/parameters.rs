@@ -9,7 +9,6 @@ use codec_core::Gaussian;
 use glam::{Quat, Vec3};
 use render_host::adjoint::SplatGradient;
 
-use super::steps;
 use crate::{
     encode::decisions::ProxyChange,
     scene::{Attributes, Epoch, Scene, SceneError, Track},
@@ -195,7 +194,7 @@ impl Follows {
     pub(super) fn error(&self, source: &Gaussian, values: &Values, decoded: &Gaussian) -> Option<Values> {
         let Self::Source(anchor, axes) = *self else { return None };
         let moved = anchor.moved(source, [0, 1, 2], values);
-        Some(steps::error(&moved, anchor.size, decoded, axes))
+        Some(error(&moved, anchor.size, decoded, axes))
     }
 
     /// The gradient of its parameters that the gradient `by` of `decoded` is.
@@ -298,6 +297,29 @@ impl Anchor {
     }
 }
 
+/// What `decoded` is off from `source` by, as parameters of the source, whose axis `axes[k]` is axis `k` of
+/// `decoded`. `size` is the source's; a turn that is no small one counts as none.
+fn error(source: &Gaussian, size: f32, decoded: &Gaussian, axes: [u8; 3]) -> Values {
+    let mut out = [0.0; COMPONENTS];
+    let (from, to) = (quat(source.rotation), quat(decoded.rotation));
+    let off = Vec3::from_array(decoded.position) - Vec3::from_array(source.position);
+    out[..SCALE].copy_from_slice(&(from.conjugate() * off / size).to_array());
+    let mut turn = Vec3::ZERO;
+    for (k, axis) in axes.into_iter().map(usize::from).enumerate() {
+        out[SCALE + axis] = (decoded.scale[k] / source.scale[axis]).ln();
+        let unit = |k: usize| Vec3::from_array(std::array::from_fn(|d| if d == k { 1.0 } else { 0.0 }));
+        let (was, is) = (from * unit(axis), to * unit(k));
+        turn += 0.5 * was.cross(is * was.dot(is).signum());
+    }
+    if turn.length() < 0.5 {
+        out[TURN..OPACITY].copy_from_slice(&(from.conjugate() * turn).to_array());
+    }
+    let opacity = decoded.opacity.clamp(1e-6, 1.0 - 1e-6);
+    out[OPACITY] = (decoded.opacity - source.opacity) / (opacity * (1.0 - opacity));
+    (0..3).for_each(|d| out[COLOUR + d] = decoded.sh0[d] - source.sh0[d]);
+    out
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -370,7 +392,7 @@ mod tests {
             for c in 0..COMPONENTS {
                 assert!((found[c] - values[c]).abs() < 1e-3, "{i} {c}: {} {}", found[c], values[c]);
             }
-            let wrong = steps::error(&gaussian, anchor.size, &decoded, [0, 1, 2]);
+            let wrong = error(&gaussian, anchor.size, &decoded, [0, 1, 2]);
             assert!(wrong[SCALE..TURN] != found[SCALE..TURN], "axes as they are named would be wrong");
         }
         let gaussian = epoch.instant(0).gaussians[0];

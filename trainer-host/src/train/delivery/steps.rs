@@ -1,9 +1,9 @@
 //! Learns quantiser steps, straight through their rounding.
 //!
 //! A quantised value is `v̂ = s · round(v / s)`. With the slope of the rounding taken as 1, as the
-//! straight-through estimator does, `∂v̂ / ∂ ln s = v̂ − v` at every level: nested steps are multiples of the
-//! last one. So the slope of the objective by a step is the sum, over the values that share it, of the value's
-//! gradient times its quantisation error. Source: paper section 3; Esser et al., "Learned Step Size
+//! straight-through estimator does, `∂v̂ / ∂ ln s = v̂ − v` at every level: nested steps are multiples of
+//! the last one. So the slope of the objective by a step is the sum, over the values that share it, of the
+//! value's gradient times its quantisation error. Source: paper section 3; Esser et al., "Learned Step Size
 //! Quantization" (2020), equation 3.
 //!
 //! What a step saves is measured: the scene is coded with that step longer and shorter and bytes are counted.
@@ -14,13 +14,12 @@
 
 use std::ops::Range;
 
-use codec_core::{Gaussian, internals::quant::Class};
-use glam::{Quat, Vec3};
+use codec_core::internals::quant::Class;
 use rayon::prelude::*;
 
 use super::{
     error::DeliveryError,
-    parameters::{COLOUR, COMPONENTS, OPACITY, SCALE, TURN, Values},
+    parameters::{COLOUR, COMPONENTS, OPACITY, SCALE, TURN},
 };
 use crate::{
     encode::{
@@ -43,8 +42,8 @@ pub(super) const LEARNED: [(Class, Range<usize>); Class::MOVING] = [
 /// One number per learned class.
 pub(super) type PerClass = [f64; Class::MOVING];
 
-/// Change of `ln s`, up and down, by which bytes are measured: enough that values which lie on a grid of their
-/// own, and sizes of packets, make little of it.
+/// Change of `ln s`, up and down, by which bytes are measured: enough that values which lie on a grid of
+/// their own, and sizes of packets, make little of it.
 const PROBE: f64 = 0.4;
 /// Largest change of `ln s` at once.
 const MOST_AT_ONCE: f64 = 0.1;
@@ -90,11 +89,12 @@ impl Steps {
         Self { factors: none.clone(), before: none.clone(), slopes: none.clone(), savings: none, hold: None }
     }
 
-    /// Those that the encoder chose for `scene`, whose stream is `encoded` with at most `table_choices` tables
-    /// to a set. A byte costs `price` of the objective; where that is 0, all steps together save nothing.
+    /// Those that the encoder chose for `scene`, whose stream is `encoded` with at most `table_choices`
+    /// tables to a set. A byte costs `price` of the objective; where that is 0, all steps together save
+    /// nothing.
     ///
     /// # Errors
-    /// What the encoder refuses of other steps, but for a block that is too large for a packet: that step stays.
+    /// What the encoder refuses of other steps, but for a block too large for a packet: that step stays.
     pub(super) fn learned(
         scene: &Scene,
         encoded: &Encoded,
@@ -236,30 +236,6 @@ fn scaled(decisions: &Decisions, factors: &[PerClass]) -> Decisions {
         }
     }
     decisions
-}
-
-/// What `decoded` is off from `source` by, as parameters of the source, whose axis `axes[k]` is axis `k` of
-/// `decoded`. `size` is the source's; a turn that is no small one counts as none.
-pub(super) fn error(source: &Gaussian, size: f32, decoded: &Gaussian, axes: [u8; 3]) -> Values {
-    let mut out = [0.0; COMPONENTS];
-    let quat = |[w, x, y, z]: [f32; 4]| Quat::from_xyzw(x, y, z, w);
-    let (from, to) = (quat(source.rotation), quat(decoded.rotation));
-    let off = Vec3::from_array(decoded.position) - Vec3::from_array(source.position);
-    out[..SCALE].copy_from_slice(&(from.conjugate() * off / size).to_array());
-    let mut turn = Vec3::ZERO;
-    for (k, axis) in axes.into_iter().map(usize::from).enumerate() {
-        out[SCALE + axis] = (decoded.scale[k] / source.scale[axis]).ln();
-        let unit = |k: usize| Vec3::from_array(std::array::from_fn(|d| if d == k { 1.0 } else { 0.0 }));
-        let (was, is) = (from * unit(axis), to * unit(k));
-        turn += 0.5 * was.cross(is * was.dot(is).signum());
-    }
-    if turn.length() < 0.5 {
-        out[TURN..OPACITY].copy_from_slice(&(from.conjugate() * turn).to_array());
-    }
-    let opacity = decoded.opacity.clamp(1e-6, 1.0 - 1e-6);
-    out[OPACITY] = (decoded.opacity - source.opacity) / (opacity * (1.0 - opacity));
-    (0..3).for_each(|d| out[COLOUR + d] = decoded.sh0[d] - source.sh0[d]);
-    out
 }
 
 #[cfg(test)]
