@@ -27,7 +27,9 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
     files::check_stream(&args.out, &[&args.input])?;
     let is_ordered = args.by_window || args.live;
     if args.levels.is_none() && args.frames.is_none() && args.bytes.is_none() && !is_ordered {
-        bail!("nothing to leave out: --levels, --frames, --bytes, --by-window or --live is needed");
+        bail!(
+            "nothing to leave out or to order: --levels, --frames, --bytes, --by-window or --live is needed"
+        );
     }
     if args.live && !files::is_standard_output(&args.out) {
         bail!("{}: --live writes to standard output; - is allowed", args.out.display());
@@ -81,19 +83,12 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
     let without = parity::left_out(&stream, &map, &stays);
     let cut = stream.with_packets(|id| stays[id]);
     let left = stays.iter().filter(|stays| **stays).count();
-    let len = if is_ordered {
-        let windows = windows::windows(&cut, &manifest, &map);
-        if args.live {
-            windows::write_live(&cut, &windows, manifest.frames_per_second())?
-        } else {
-            written(args, &windows::to_bytes(&cut, &windows)?)?
-        }
-    } else {
-        let by_utility = table.as_ref().filter(|_| left > 0);
-        written(
-            args,
-            &by_utility.map_or_else(|| Ok(cut.to_bytes()?), |t| pipeline::file_by_utility(&cut, t))?,
-        )?
+    let windows = is_ordered.then(|| windows::windows(&cut, &manifest, &map));
+    let len = match (&windows, &table) {
+        (Some(windows), _) if args.live => windows::write_live(&cut, windows, manifest.frames_per_second())?,
+        (Some(windows), _) => written(args, &windows::to_bytes(&cut, windows)?)?,
+        (None, Some(table)) if left > 0 => written(args, &pipeline::file_by_utility(&cut, table)?)?,
+        (None, _) => written(args, &cut.to_bytes()?)?,
     };
     if let (Some(target), Some(bytes)) = (&target, &measured) {
         // They are of the groups that the manifest tells of, whatever packets are there.

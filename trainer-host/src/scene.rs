@@ -235,20 +235,22 @@ impl Epoch {
 
     /// The splats of frame `t` (counted in this epoch), ready to render; past the end, of the last one.
     pub fn instant(&self, t: usize) -> Instant {
-        let t = t.min(self.frames - 1);
-        let (n, a) = (self.count, &self.attributes);
-        let (p, q) = (a.positions.frame(t, n), a.rotations.frame(t, n));
-        let (s, o, c) = (a.log_scales.frame(t, n), a.opacity_logits.frame(t, n), a.sh0.frame(t, n));
-        let gaussians = (0..n)
-            .map(|i| Gaussian {
-                position: p[i],
-                scale: s[i].map(f32::exp),
-                rotation: q[i],
-                opacity: 1.0 / (1.0 + (-o[i]).exp()),
-                sh0: c[i],
-            })
-            .collect();
+        let gaussians = (0..self.count).map(|i| self.gaussian(i, t)).collect();
+        let a = &self.attributes;
         Instant { gaussians, sh_rest: a.sh_rest.clone(), sh_degree: a.sh_degree }
+    }
+
+    /// Gaussian `i`, below [`Epoch::count`], at frame `t`; past the end, at the last.
+    #[inline]
+    pub(crate) fn gaussian(&self, i: usize, t: usize) -> Gaussian {
+        let (n, t, a) = (self.count, t.min(self.frames - 1), &self.attributes);
+        Gaussian {
+            position: a.positions.frame(t, n)[i],
+            scale: a.log_scales.frame(t, n)[i].map(f32::exp),
+            rotation: a.rotations.frame(t, n)[i],
+            opacity: 1.0 / (1.0 + (-a.opacity_logits.frame(t, n)[i]).exp()),
+            sh0: a.sh0.frame(t, n)[i],
+        }
     }
 }
 

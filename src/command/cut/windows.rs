@@ -10,13 +10,15 @@ use std::{
 
 use anyhow::{Context, Result};
 use codec_core::internals::{
-    ids::{PacketId, Span},
+    ids::PacketId,
     wire::{file, manifest::Manifest},
 };
 use trainer_host::{
     Stream,
     stream::{PacketMap, SlicePlacement},
 };
+
+use crate::delivery::coverage;
 
 /// Packets of one window of time.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -64,16 +66,8 @@ pub(super) fn windows(stream: &Stream, manifest: &Manifest<'_>, map: &PacketMap)
 
 /// The frames in which what a slice brings shows.
 pub(super) fn covered(manifest: &Manifest<'_>, placement: &SlicePlacement) -> Range<u32> {
-    let (first, count) = match placement.group.span {
-        Span::Canonical(id) => {
-            manifest.epochs().nth(id.0.into()).map_or((0, 0), |epoch| (epoch.first_frame, epoch.frames))
-        }
-        Span::Motion(id) => manifest
-            .windows()
-            .nth(id.0.into())
-            .map_or((0, 0), |window| (window.first_frame, u32::from(window.frames))),
-    };
-    first..first.saturating_add(count)
+    let (first, frames) = coverage(manifest, placement.group.span);
+    first..first.saturating_add(frames)
 }
 
 /// The file of `stream` with its packets in the order of `windows`.
@@ -105,23 +99,27 @@ fn parts(
     parts
 }
 
-/// Writes the file of [`to_bytes`] to standard output, each window when its first frame is due.
+/// Writes the file of [`to_bytes`] to standard output, each window when its first frame is due; gives the bytes
+/// written.
 ///
 /// # Errors
-/// What the system says of standard output; a reader that has gone is none.
+/// What the system says of standard output; a reader that has gone is none, and ends it.
 pub(super) fn write_live(stream: &Stream, windows: &[Window], frames_per_second: f64) -> Result<usize> {
     let bytes = to_bytes(stream, windows)?;
     let begin = Instant::now();
     let mut out = io::stdout().lock();
+    let mut len = 0;
     for (due, part) in parts(stream, windows, bytes.len(), frames_per_second) {
         let due = begin + Duration::from_secs_f64(due);
         thread::sleep(due.saturating_duration_since(Instant::now()));
+        let end = part.end;
         match out.write_all(&bytes[part]).and_then(|()| out.flush()) {
             Err(error) if error.kind() == ErrorKind::BrokenPipe => break,
             written => written.context("standard output: cannot write")?,
         }
+        len = end;
     }
-    Ok(bytes.len())
+    Ok(len)
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use codec_core::{
     Gaussian, ShDegree,
     internals::{
         closure::Arrived,
-        ids::{ClusterId, EpochId, Span},
+        ids::{ClusterId, EpochId, Level, Span},
         layout::Shape,
         receiver::Content,
     },
@@ -266,7 +266,7 @@ impl Moving<'_> {
     }
 
     /// Adds the gradient by the Gaussians of `shown` to that by their parameters, in the order of parameters,
-    /// and to that by the steps which they are coded with.
+    /// and to that by the steps that they are coded with, where these are learned.
     pub(super) fn pull(
         &self,
         shown: &Shown,
@@ -275,24 +275,30 @@ impl Moving<'_> {
         gradient: &mut Gradient,
     ) {
         let (e, t) = self.place(frame);
-        let source = self.source.epochs().get(e).map(|epoch| epoch.instant(t).gaussians).unwrap_or_default();
-        let first = self.parameters.first_of(e);
+        let Some(epoch) = self.source.epochs().get(e) else { return };
+        let (first, values) = (self.parameters.first_of(e), self.parameters.epoch(e));
+        let blocks = self.blocks(frame);
+        // What is missing of motion is no error of quantisation.
+        let moves_whole = |block: &Block| {
+            let arrived = |mask: usize| Arrived(state.get(mask).copied().unwrap_or(0));
+            let (_, motion) = self.masks(block, frame);
+            motion.is_none_or(|mask| arrived(mask).usable() == Level::COUNT)
+        };
+        let is_learned = !gradient.steps.is_empty();
+        let counts: Vec<bool> = blocks.iter().map(|block| is_learned && moves_whole(block)).collect();
         self.each(state, frame, |(block, decoded), parameter, follows| {
-            let pulled = follows.pulled(&by[decoded], &shown.gaussians[decoded]);
+            let shown = &shown.gaussians[decoded];
+            let pulled = follows.pulled(&by[decoded], shown);
             let sums = &mut gradient.parameters[parameter];
             sums.iter_mut().zip(pulled).for_each(|(sum, value)| *sum += f64::from(value));
-            // What is missing of motion is no error of quantisation.
-            let (_, motion) = self.masks(block, frame);
-            let moves_whole =
-                motion.is_none_or(|mask| state.get(mask).is_some_and(|&m| Arrived(m).usable() == 4));
-            let Some(values) = self.parameters.epoch(e).get(parameter - first).filter(|_| moves_whole) else {
+            let Follows::Source(anchor, axes) = follows else { return };
+            if !counts[block] {
                 return;
-            };
-            let Some(error) = follows.error(&source[parameter - first], values, &shown.gaussians[decoded])
-            else {
-                return;
-            };
-            let sums = &mut gradient.steps[block.quantisers];
+            }
+            let source = parameter - first;
+            let intended = anchor.moved(&epoch.gaussian(source, t), [0, 1, 2], &values[source]);
+            let error = anchor.error(&intended, shown, axes);
+            let sums = &mut gradient.steps[blocks[block].quantisers];
             for (sum, (_, components)) in sums.iter_mut().zip(&LEARNED) {
                 let product = |c: usize| f64::from(pulled[c]) * f64::from(error[c]);
                 *sum += components.clone().map(product).sum::<f64>();
@@ -300,9 +306,9 @@ impl Moving<'_> {
         });
     }
 
-    /// Calls `visit` with each Gaussian that `state` shows and that has parameters: its block and its index
-    /// in a decoded frame, the index of its parameters, and how it follows them.
-    fn each(&self, state: &[u8], frame: u32, mut visit: impl FnMut((&Block, usize), usize, Follows)) {
+    /// Calls `visit` with each Gaussian that `state` shows and that has parameters: the number of its block and
+    /// its index in a decoded frame, the index of its parameters, and how it follows them.
+    fn each(&self, state: &[u8], frame: u32, mut visit: impl FnMut((usize, usize), usize, Follows)) {
         let (e, t) = self.place(frame);
         let Coded { encoded, parameters, axes, .. } = self.coded;
         let (Some(epoch), Some(order)) = (self.source.epochs().get(e), encoded.order.get(e)) else {
@@ -316,17 +322,17 @@ impl Moving<'_> {
                 for decoded in block.gaussians.clone() {
                     let source = order[decoded] as usize;
                     let follows = Follows::Source(Anchor::of(epoch, source, t), axes[e][decoded]);
-                    visit((block, decoded), first + source, follows);
+                    visit((number, decoded), first + source, follows);
                 }
             } else if let Some(&size) = sizes.get(number).filter(|_| !block.gaussians.is_empty()) {
-                visit((block, block.gaussians.start), first_proxy + number, Follows::Proxy(size));
+                visit((number, block.gaussians.start), first_proxy + number, Follows::Proxy(size));
             }
         }
     }
 }
 
 /// `decisions` with the proxies of `parameters`, where it trains them.
-pub(super) fn with_proxies(decisions: &Decisions, parameters: &Parameters) -> Decisions {
+fn with_proxies(decisions: &Decisions, parameters: &Parameters) -> Decisions {
     let mut decisions = decisions.clone();
     if let Decisions::Dgs1(decisions) = &mut decisions {
         for (e, epoch) in decisions.epochs.iter_mut().enumerate() {
@@ -341,7 +347,7 @@ pub(super) fn with_proxies(decisions: &Decisions, parameters: &Parameters) -> De
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::train::delivery::view::tests::study;
+    use crate::train::delivery::{parameters::tests::linear, view::tests::study};
 
     fn options() -> encode::EncodeOptions {
         encode::EncodeOptions { packet_bytes: 400, block_len: 16, pictures: 0, ..Default::default() }
@@ -399,37 +405,23 @@ mod tests {
         let mut gradient = Gradient::zeros(parameters.count(), rows);
         moving.pull(&shown, &slopes, (&complete, frame), &mut gradient);
 
-        let value = |g: &Gaussian, by: &SplatGradient| -> f64 {
-            let dot =
-                |a: [f32; 3], b: [f32; 3]| -> f64 { (0..3).map(|d| f64::from(a[d]) * f64::from(b[d])).sum() };
-            let logit = (f64::from(g.opacity) / (1.0 - f64::from(g.opacity))).ln();
-            dot(g.position, by.position)
-                + dot(g.scale.map(f32::ln), by.log_scale)
-                + dot(g.sh0, by.sh0)
-                + logit * f64::from(by.opacity_logit)
-        };
         let source = parameters.applied(&scene).unwrap().instant(frame as usize).unwrap();
         let mut along = 0.0;
         moving.each(&complete, frame, |(_, decoded), parameter, follows| {
-            let zero = [0.0; crate::train::delivery::parameters::COMPONENTS];
             let (g, by) = (&shown.gaussians[decoded], &slopes[decoded]);
-            let error = follows.error(&source.gaussians[parameter], &zero, g).unwrap();
-            let at = |h: f32| value(&follows.moved(g, &error.map(|e| h * e)), by);
+            let Follows::Source(anchor, axes) = follows else { panic!("{follows:?}") };
+            let error = anchor.error(&source.gaussians[parameter], g, axes);
+            let at = |h: f32| linear(&follows.moved(g, &error.map(|e| h * e)), by);
             along += (at(0.05) - at(-0.05)) / 0.1;
         });
         let found: f64 = gradient.steps.as_flattened().iter().sum();
         assert!(along.abs() > 0.01, "{along}");
         assert!((found / along - 1.0).abs() < 0.02, "{found} {along}");
         // Missing motion is no error of quantisation.
-        let missing: Vec<u8> = moving
-            .blocks(frame)
-            .iter()
-            .flat_map(|b| moving.masks(b, frame).1)
-            .fold(complete, |mut state, mask| {
-                state[mask] = 0;
-                state
-            })
-            .clone();
+        let mut missing = complete;
+        for mask in moving.blocks(frame).iter().filter_map(|block| moving.masks(block, frame).1) {
+            missing[mask] = 0;
+        }
         let shown = moving.shown(&mut coded.player(), &missing, frame).unwrap();
         let mut gradient = Gradient::zeros(parameters.count(), rows);
         moving.pull(&shown, &slopes, (&missing, frame), &mut gradient);

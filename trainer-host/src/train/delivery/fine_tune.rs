@@ -140,7 +140,7 @@ pub fn fine_tune(
             return Err(DeliveryError::Diverged { update, found: heard.objective });
         }
         let share = update as f64 / options.updates as f64;
-        coding.steps.hear(&gradient.steps);
+        coding.steps.observe(&gradient.steps);
         adam.step(
             &mut run.parameters,
             &gradient.parameters,
@@ -332,7 +332,8 @@ impl Training<'_> {
     ) -> Result<(Terms, Gradient, Update), DeliveryError> {
         let (_, weights) = self.objective_of(update);
         let moving = coded.moving(self.scene, &self.parameters);
-        let rows = steps::rows(&coded.encoded.decisions);
+        // Without rows nothing is found out about steps.
+        let rows = if self.options.learn_steps { steps::rows(&coded.encoded.decisions) } else { 0 };
         let (mut terms, mut gradient) = (Terms::default(), Gradient::zeros(self.parameters.count(), rows));
         let share = 1.0 / self.options.views as f64;
         let mut arrived = 0.0;

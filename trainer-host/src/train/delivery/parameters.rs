@@ -190,13 +190,6 @@ impl Follows {
         }
     }
 
-    /// How far `decoded` is from `source` with its parameters `values`, in parameters; none of a proxy.
-    pub(super) fn error(&self, source: &Gaussian, values: &Values, decoded: &Gaussian) -> Option<Values> {
-        let Self::Source(anchor, axes) = *self else { return None };
-        let moved = anchor.moved(source, [0, 1, 2], values);
-        Some(error(&moved, anchor.size, decoded, axes))
-    }
-
     /// The gradient of its parameters that the gradient `by` of `decoded` is.
     pub(super) fn pulled(&self, by: &SplatGradient, decoded: &Gaussian) -> Values {
         match *self {
@@ -239,7 +232,7 @@ impl Anchor {
     }
 
     /// `decoded` moved by a `change` of its parameters; its axis `k` is axis `axes[k]` of the source.
-    fn moved(&self, decoded: &Gaussian, axes: [u8; 3], change: &Values) -> Gaussian {
+    pub(super) fn moved(&self, decoded: &Gaussian, axes: [u8; 3], change: &Values) -> Gaussian {
         if change.iter().all(|&v| v == 0.0) {
             return *decoded;
         }
@@ -280,6 +273,29 @@ impl Anchor {
         out
     }
 
+    /// What `decoded` is off by from `intended`, whose axis `axes[k]` is axis `k` of `decoded`: the parameters
+    /// that would make the one of the other, to first order. A turn that is no small one counts as none.
+    pub(super) fn error(&self, intended: &Gaussian, decoded: &Gaussian, axes: [u8; 3]) -> Values {
+        let mut out = [0.0; COMPONENTS];
+        let (from, to) = (quat(intended.rotation), quat(decoded.rotation));
+        let off = Vec3::from_array(decoded.position) - Vec3::from_array(intended.position);
+        out[..SCALE].copy_from_slice(&(from.conjugate() * off / self.size).to_array());
+        let mut turn = Vec3::ZERO;
+        for (k, axis) in axes.into_iter().map(usize::from).enumerate() {
+            out[SCALE + axis] = (decoded.scale[k] / intended.scale[axis]).ln();
+            let (was, is) = (from * Vec3::AXES[axis], to * Vec3::AXES[k]);
+            turn += 0.5 * was.cross(is * was.dot(is).signum());
+        }
+        if turn.length() < 0.5 {
+            out[TURN..OPACITY].copy_from_slice(&(from.conjugate() * turn).to_array());
+        }
+        // Opacity is quantised as it is, its parameter is a logit.
+        let opacity = decoded.opacity.clamp(1e-6, 1.0 - 1e-6);
+        out[OPACITY] = (decoded.opacity - intended.opacity) / (opacity * (1.0 - opacity));
+        (0..3).for_each(|d| out[COLOUR + d] = decoded.sh0[d] - intended.sh0[d]);
+        out
+    }
+
     /// Which axis of the source each axis of `decoded` is: codecs may name the axes of a Gaussian anew.
     pub(super) fn axes(&self, decoded: &Gaussian) -> [u8; 3] {
         let to_source = self.rotation.conjugate() * quat(decoded.rotation);
@@ -297,31 +313,8 @@ impl Anchor {
     }
 }
 
-/// What `decoded` is off from `source` by, as parameters of the source, whose axis `axes[k]` is axis `k` of
-/// `decoded`. `size` is the source's; a turn that is no small one counts as none.
-fn error(source: &Gaussian, size: f32, decoded: &Gaussian, axes: [u8; 3]) -> Values {
-    let mut out = [0.0; COMPONENTS];
-    let (from, to) = (quat(source.rotation), quat(decoded.rotation));
-    let off = Vec3::from_array(decoded.position) - Vec3::from_array(source.position);
-    out[..SCALE].copy_from_slice(&(from.conjugate() * off / size).to_array());
-    let mut turn = Vec3::ZERO;
-    for (k, axis) in axes.into_iter().map(usize::from).enumerate() {
-        out[SCALE + axis] = (decoded.scale[k] / source.scale[axis]).ln();
-        let unit = |k: usize| Vec3::from_array(std::array::from_fn(|d| if d == k { 1.0 } else { 0.0 }));
-        let (was, is) = (from * unit(axis), to * unit(k));
-        turn += 0.5 * was.cross(is * was.dot(is).signum());
-    }
-    if turn.length() < 0.5 {
-        out[TURN..OPACITY].copy_from_slice(&(from.conjugate() * turn).to_array());
-    }
-    let opacity = decoded.opacity.clamp(1e-6, 1.0 - 1e-6);
-    out[OPACITY] = (decoded.opacity - source.opacity) / (opacity * (1.0 - opacity));
-    (0..3).for_each(|d| out[COLOUR + d] = decoded.sh0[d] - source.sh0[d]);
-    out
-}
-
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::import::{
         Limits,
@@ -336,6 +329,20 @@ mod tests {
 
     fn change(i: usize) -> Values {
         std::array::from_fn(|c| 0.1 * (((i * 31 + c * 17) % 19) as f32 / 9.0 - 1.0))
+    }
+
+    /// A function of a Gaussian whose gradient is `by`: linear in centre, log-scales, rotation, opacity logit
+    /// and band 0 of colour.
+    pub(in crate::train::delivery) fn linear(g: &Gaussian, by: &SplatGradient) -> f64 {
+        let dot = |a: &[f32], b: &[f32]| -> f64 {
+            a.iter().zip(b).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum()
+        };
+        let logit = (f64::from(g.opacity) / (1.0 - f64::from(g.opacity))).ln();
+        dot(&g.position, &by.position)
+            + dot(&g.scale.map(f32::ln), &by.log_scale)
+            + dot(&g.rotation, &by.rotation)
+            + dot(&g.sh0, &by.sh0)
+            + logit * f64::from(by.opacity_logit)
     }
 
     #[test]
@@ -388,15 +395,13 @@ mod tests {
             decoded.rotation = [quarter.w, quarter.x, quarter.y, quarter.z];
             decoded.scale.swap(0, 1);
             let axes = [1, 0, 2];
-            let found = Follows::Source(anchor, axes).error(&gaussian, &[0.0; COMPONENTS], &decoded).unwrap();
+            let found = anchor.error(&gaussian, &decoded, axes);
             for c in 0..COMPONENTS {
                 assert!((found[c] - values[c]).abs() < 1e-3, "{i} {c}: {} {}", found[c], values[c]);
             }
-            let wrong = error(&gaussian, anchor.size, &decoded, [0, 1, 2]);
+            let wrong = anchor.error(&gaussian, &decoded, [0, 1, 2]);
             assert!(wrong[SCALE..TURN] != found[SCALE..TURN], "axes as they are named would be wrong");
         }
-        let gaussian = epoch.instant(0).gaussians[0];
-        assert!(Follows::Proxy(1.0).error(&gaussian, &change(0), &gaussian).is_none());
     }
 
     #[test]
@@ -410,22 +415,13 @@ mod tests {
             sh0: [0.1, -0.2, 0.3],
             ..Default::default()
         };
-        let value = |g: &Gaussian| -> f64 {
-            let dot =
-                |a: [f32; 3], b: [f32; 3]| -> f64 { (0..3).map(|d| f64::from(a[d]) * f64::from(b[d])).sum() };
-            let logit = (f64::from(g.opacity) / (1.0 - f64::from(g.opacity))).ln();
-            dot(g.position, by.position)
-                + dot(g.scale.map(f32::ln), by.log_scale)
-                + dot(g.sh0, by.sh0)
-                + logit * f64::from(by.opacity_logit)
-        };
         let follows = Follows::Proxy(0.4);
         let found = follows.pulled(&by, &decoded);
         for c in 0..COMPONENTS {
             let at = |h: f32| {
                 let mut change = [0.0; COMPONENTS];
                 change[c] = h;
-                value(&follows.moved(&decoded, &change))
+                linear(&follows.moved(&decoded, &change), &by)
             };
             let numeric = (at(1e-2) - at(-1e-2)) / 2e-2;
             assert!((f64::from(found[c]) - numeric).abs() < 2e-3, "{c}: {} {numeric}", found[c]);
@@ -447,23 +443,12 @@ mod tests {
             ..Default::default()
         };
         let axes = [2, 0, 1];
-        let value = |g: &Gaussian| -> f64 {
-            let dot = |a: &[f32], b: &[f32]| -> f64 {
-                a.iter().zip(b).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum()
-            };
-            let logit = (f64::from(g.opacity) / (1.0 - f64::from(g.opacity))).ln();
-            dot(&g.position, &by.position)
-                + dot(&g.scale.map(f32::ln), &by.log_scale)
-                + dot(&g.rotation, &by.rotation)
-                + dot(&g.sh0, &by.sh0)
-                + logit * f64::from(by.opacity_logit)
-        };
         let found = anchor.pulled(&by, &decoded, axes);
         for c in 0..COMPONENTS {
             let at = |h: f32| {
                 let mut change = [0.0; COMPONENTS];
                 change[c] = h;
-                value(&anchor.moved(&decoded, axes, &change))
+                linear(&anchor.moved(&decoded, axes, &change), &by)
             };
             let numeric = (at(1e-2) - at(-1e-2)) / 2e-2;
             assert!((f64::from(found[c]) - numeric).abs() < 2e-3, "{c}: {} {numeric}", found[c]);

@@ -69,13 +69,13 @@ pub(super) struct Steps {
     slopes: Vec<PerClass>,
     /// Bytes that a step saves, by `ln s`; 0 where it saves none.
     savings: Vec<PerClass>,
-    /// What holds the steps; nothing moves them without.
-    hold: Option<Hold>,
+    /// What decides about a change of all steps together; without, steps stay.
+    control: Option<RateControl>,
 }
 
-/// What a change of all steps together is decided by.
+/// How the size of the stream is controlled.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Hold {
+pub(super) enum RateControl {
     /// The stream is as large as with the encoder's steps, as far as savings add up.
     Size,
     /// A byte costs so much of the objective.
@@ -86,7 +86,13 @@ impl Steps {
     /// Those that the encoder chose, which stay.
     pub(super) fn fixed(decisions: &Decisions) -> Self {
         let none = vec![PerClass::default(); rows(decisions)];
-        Self { factors: none.clone(), before: none.clone(), slopes: none.clone(), savings: none, hold: None }
+        Self {
+            factors: none.clone(),
+            before: none.clone(),
+            slopes: none.clone(),
+            savings: none,
+            control: None,
+        }
     }
 
     /// Those that the encoder chose for `scene`, whose stream is `encoded` with at most `table_choices`
@@ -122,12 +128,12 @@ impl Steps {
         for (saving, probed) in steps.savings.as_flattened_mut().iter_mut().zip(probed?) {
             *saving = probed.max(0.0);
         }
-        steps.hold = Some(if price > 0.0 { Hold::Price(price) } else { Hold::Size });
+        steps.control = Some(if price > 0.0 { RateControl::Price(price) } else { RateControl::Size });
         Ok(steps)
     }
 
     /// Takes in the slopes of one update.
-    pub(super) fn hear(&mut self, slopes: &[PerClass]) {
+    pub(super) fn observe(&mut self, slopes: &[PerClass]) {
         for (mean, slope) in self.slopes.as_flattened_mut().iter_mut().zip(slopes.as_flattened()) {
             *mean = MEMORY * *mean + (1.0 - MEMORY) * slope;
         }
@@ -135,7 +141,7 @@ impl Steps {
 
     /// Moves the steps towards equal slopes per byte.
     pub(super) fn advance(&mut self) {
-        let Some(hold) = self.hold else { return };
+        let Some(control) = self.control else { return };
         let savings = self.savings.as_flattened();
         let all: f64 = savings.iter().sum();
         let mean = self.slopes.as_flattened().iter().map(|slope| slope.max(0.0)).sum::<f64>() / all;
@@ -145,9 +151,9 @@ impl Steps {
         // Logarithms of slopes per byte over their mean; what has next to none counts as little.
         let ratio = |(slope, saving): (&f64, &f64)| (slope / saving / mean).max(LEAST_RATIO).ln();
         let ratios: Vec<f64> = self.slopes.as_flattened().iter().zip(savings).map(ratio).collect();
-        let changes = match hold {
-            Hold::Price(price) => self.changes(&ratios, (price / mean).ln()),
-            Hold::Size => self.changes_to(&ratios),
+        let changes = match control {
+            RateControl::Price(price) => self.changes(&ratios, (price / mean).ln()),
+            RateControl::Size => self.changes_to(&ratios),
         };
         self.before.clone_from(&self.factors);
         self.factors
@@ -184,7 +190,7 @@ impl Steps {
 
     /// Takes the last change back and stays there. False if there is none to take back.
     pub(super) fn step_back(&mut self) -> bool {
-        self.hold = None;
+        self.control = None;
         let is_back = self.factors != self.before;
         self.factors.clone_from(&self.before);
         is_back
@@ -274,13 +280,13 @@ mod tests {
         }
 
         /// Steps after many changes.
-        fn reached(&self, hold: Hold) -> Steps {
+        fn reached(&self, control: RateControl) -> Steps {
             let none = vec![PerClass::default(); 2];
             let (factors, before, slopes) = (none.clone(), none.clone(), none);
             let mut steps =
-                Steps { factors, before, slopes, savings: self.savings.clone(), hold: Some(hold) };
+                Steps { factors, before, slopes, savings: self.savings.clone(), control: Some(control) };
             for _ in 0..400 {
-                steps.hear(&self.slopes(&steps));
+                steps.observe(&self.slopes(&steps));
                 steps.advance();
             }
             steps
@@ -297,7 +303,7 @@ mod tests {
     #[test]
     fn equal_slopes_per_byte_are_reached_at_the_same_size() {
         let bowl = Bowl::new();
-        let steps = bowl.reached(Hold::Size);
+        let steps = bowl.reached(RateControl::Size);
         let found = bowl.slopes_per_byte(&steps);
         let (low, high) = found.iter().fold((f64::MAX, 0f64), |(l, h), &v| (l.min(v), h.max(v)));
         assert!(found.len() == 8 && high / low < 1.02, "{found:?}");
@@ -316,18 +322,18 @@ mod tests {
     fn a_price_is_met_by_every_step() {
         let bowl = Bowl::new();
         let price = 2e-3;
-        let steps = bowl.reached(Hold::Price(price));
+        let steps = bowl.reached(RateControl::Price(price));
         let found = bowl.slopes_per_byte(&steps);
         assert!(found.iter().all(|slope| (slope / price - 1.0).abs() < 0.02), "{found:?}");
-        assert!(bowl.bytes(&bowl.reached(Hold::Price(2.0 * price))) < bowl.bytes(&steps));
+        assert!(bowl.bytes(&bowl.reached(RateControl::Price(2.0 * price))) < bowl.bytes(&steps));
     }
 
     #[test]
     fn a_step_back_is_the_last_change_and_ends_the_learning() {
         let bowl = Bowl::new();
-        let mut steps = bowl.reached(Hold::Size);
+        let mut steps = bowl.reached(RateControl::Size);
         let was = steps.factors.clone();
-        steps.hear(&[[1.0; Class::MOVING]; 2]);
+        steps.observe(&[[1.0; Class::MOVING]; 2]);
         steps.advance();
         assert_ne!(steps.factors, was);
         assert!(steps.step_back() && steps.factors == was);
@@ -355,7 +361,7 @@ mod tests {
                 let again = encode::with_levels(&scene, &decisions, &[], options.table_choices, unheard);
                 again.unwrap().report.ledger.wire()
             };
-            assert_eq!(steps.hold, Some(Hold::Size));
+            assert_eq!(steps.control, Some(RateControl::Size));
             let mut with = |factor: f64| {
                 longer.factors.as_flattened_mut().fill(factor);
                 wire(&longer)
