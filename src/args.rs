@@ -66,7 +66,7 @@ pub enum Verb {
     Encode(Encode),
     /// Say what a .dgs file holds: manifest, packets, damage.
     Inspect(Inspect),
-    /// Leave packets out of a .dgs file: levels, frames, bytes.
+    /// Leave packets out of a .dgs file (levels, frames, bytes), or put them in order of time.
     Cut(Cut),
     /// Decode a .dgs file to PLY or SPZ frames.
     Decode(Decode),

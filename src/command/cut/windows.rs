@@ -99,8 +99,8 @@ fn parts(
     parts
 }
 
-/// Writes the file of [`to_bytes`] to standard output, each window when its first frame is due; gives the bytes
-/// written.
+/// Writes the file of [`to_bytes`] to standard output, each window when its first frame is due; gives the
+/// bytes written.
 ///
 /// # Errors
 /// What the system says of standard output; a reader that has gone is none, and ends it.

@@ -306,8 +306,8 @@ impl Moving<'_> {
         });
     }
 
-    /// Calls `visit` with each Gaussian that `state` shows and that has parameters: the number of its block and
-    /// its index in a decoded frame, the index of its parameters, and how it follows them.
+    /// Calls `visit` with each Gaussian that `state` shows and that has parameters: the number of its block
+    /// and its index in a decoded frame, the index of its parameters, and how it follows them.
     fn each(&self, state: &[u8], frame: u32, mut visit: impl FnMut((usize, usize), usize, Follows)) {
         let (e, t) = self.place(frame);
         let Coded { encoded, parameters, axes, .. } = self.coded;

@@ -95,8 +95,8 @@ struct Slopes {
 }
 
 /// Terms of `worlds` in `view`, but for the rate, and the gradient of their sum weighted by `weights`: added
-/// to `gradient`. All worlds are measured together, so that the tail is known; then each is differentiated with
-/// its own weight.
+/// to `gradient`. All worlds are measured together, so that the tail is known; then each is differentiated
+/// with its own weight.
 ///
 /// # Errors
 /// What the renderer refuses.

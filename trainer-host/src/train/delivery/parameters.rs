@@ -273,8 +273,9 @@ impl Anchor {
         out
     }
 
-    /// What `decoded` is off by from `intended`, whose axis `axes[k]` is axis `k` of `decoded`: the parameters
-    /// that would make the one of the other, to first order. A turn that is no small one counts as none.
+    /// What `decoded` is off by from `intended`, whose axis `axes[k]` is axis `k` of `decoded`: the
+    /// parameters that would make the one of the other, to first order. A turn that is no small one counts as
+    /// none.
     pub(super) fn error(&self, intended: &Gaussian, decoded: &Gaussian, axes: [u8; 3]) -> Values {
         let mut out = [0.0; COMPONENTS];
         let (from, to) = (quat(intended.rotation), quat(decoded.rotation));
