@@ -31,8 +31,8 @@ pub use self::places::Places;
 /// A stream's packets and groups as the emulator sees them.
 ///
 /// It has the packets that are there and show anything, and the groups that mean something with them; of a
-/// stream that lacks nothing, packet `i` of the graph is packet `i` of the stream. Without `utilities` all
-/// groups are worth the same. `places` says where they lie.
+/// stream that lacks nothing, packet `i` of the graph is packet `i` of the stream. With `utilities` a group's
+/// utility is its expected gain; without, all groups are worth the same. `places` says where they lie.
 ///
 /// # Errors
 /// None in practice.
@@ -64,6 +64,7 @@ fn graph_parts(
     for (i, (group, _)) in map.groups().iter().enumerate() {
         index.insert(*group, GroupIndex(i as u32));
     }
+    let gains = utilities.map(|table| table.expected_gains(stream, map)).unwrap_or_default();
     let rule = |group: &Group| Needs::in_manifest(manifest, group.span, group.cluster, group.level);
     let needs = |group: &Group| -> Vec<GroupIndex> {
         let Some(needs) = rule(group) else { return Vec::new() };
@@ -125,7 +126,8 @@ fn graph_parts(
             last_frame: first_frame + frames.max(1) - 1,
             needs: needs(group),
             packets,
-            utility: utilities.and_then(|t| t.groups.get(i)).map_or(1.0, |u| u.utility),
+            utility: gains.get(i).copied().unwrap_or(1.0),
+            risk_adjusted: utilities.and_then(|t| t.groups.get(i)).map_or(1.0, |u| u.utility),
             place: places.get(group),
         }
     });

@@ -258,7 +258,7 @@ pub fn truncate(
     let (map, received) = (PacketMap::of(&whole.stream)?, whole.stream.receive()?);
     let cameras = utility::truncation_cameras(scene)?;
     let (references, how) =
-        (utility::References::renders(scene, &cameras), utility::UtilityOptions::complete());
+        (utility::References::renders(scene, &cameras, &cameras), utility::UtilityOptions::complete());
     let table = utilities(&references, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
     let progress = Progress::new("encode", quiet.0);
     let report = |stage, share| progress.heard(stage, share);

@@ -69,9 +69,12 @@ pub struct Group {
     pub needs: Vec<GroupIndex>,
     /// Its packets, at least one.
     pub packets: Vec<PacketIndex>,
-    /// Risk-adjusted counterfactual gain per frame shown (paper, "Counterfactual Render Utility"); finite,
+    /// What it adds per frame shown, as reports count it and all schedulers but the paper's rank by; finite,
     /// may be negative.
     pub utility: f64,
+    /// Ũ, the risk-adjusted counterfactual utility per frame shown (paper, "Counterfactual Render Utility"),
+    /// which the paper's scheduler ranks by; finite, may be negative.
+    pub risk_adjusted: f64,
     /// Where it lies in the scene; `None` where nobody has looked.
     pub place: Option<Place>,
 }
@@ -439,8 +442,9 @@ impl PacketGraph {
         self.parts.packets.iter().map(|packet| u64::from(packet.wire_bytes)).sum()
     }
 
-    /// Whether every group has the same utility, so that the table says nothing.
-    pub fn utility_is_flat(&self) -> bool {
-        self.parts.groups.windows(2).all(|pair| pair[0].utility.to_bits() == pair[1].utility.to_bits())
+    /// Whether every group has the same Ũ, so that the paper's table says nothing.
+    pub(crate) fn risk_adjusted_is_flat(&self) -> bool {
+        let bits = |group: &Group| group.risk_adjusted.to_bits();
+        self.parts.groups.windows(2).all(|pair| bits(&pair[0]) == bits(&pair[1]))
     }
 }

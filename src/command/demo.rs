@@ -90,7 +90,8 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
 
     let framing = Framing::of(&scene);
     let measuring = framing.ring(Ring::Measuring, 3, (128, 128))?;
-    let sources = utility::References::renders(&scene, &measuring);
+    let gain_cameras = utility::gain_cameras(&scene)?;
+    let sources = utility::References::renders(&scene, &measuring, &gain_cameras);
     let options =
         utility::UtilityOptions { contexts: args.contexts.max(1), ..utility::UtilityOptions::paper() };
     let cache = args.out.join(UTILITIES);

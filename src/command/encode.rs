@@ -12,7 +12,7 @@ use trainer_host::{
     evaluator::{self, Segment},
     stream::PacketMap,
     train::dataset,
-    utility::{ReferencePhotographs, References, Table, UtilityOptions},
+    utility::{ReferencePhotographs, References, Table, UtilityOptions, gain_cameras},
     viewpoint::{Framing, Ring},
 };
 
@@ -204,7 +204,7 @@ fn utilities(
         return measure(&References::Photographs(photographs)).context("--photographs");
     }
     let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (160, 160))?;
-    measure(&References::renders(scene, &cameras))
+    measure(&References::renders(scene, &cameras, &gain_cameras(scene)?))
 }
 
 /// Decisions from a file.

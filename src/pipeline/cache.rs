@@ -20,7 +20,7 @@ use super::Quiet;
 use crate::{files, progress::Progress};
 
 /// Grows when what is stored means something else.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 /// What is stored as a digest.
 const DIGESTED: [&str; 5] = ["stream", "scene", "cameras", "photographs", "settings"];
 /// How two pictures are compared.
@@ -149,11 +149,11 @@ fn measured(
         ("settings", Digest::new().bytes(&serde_json::to_vec(settings)?)),
     ];
     match references {
-        References::Renders(SourceRenders { scene, cameras, frames_per_span }) => {
+        References::Renders(SourceRenders { scene, cameras, gain_cameras, frames_per_span }) => {
             values.push(("references", json!("renders of the source")));
             values.push(("frames per span", json!(frames_per_span)));
             digested.push(("scene", digest(scene)));
-            digested.push(("cameras", Digest::new().bytes(&serde_json::to_vec(cameras)?)));
+            digested.push(("cameras", Digest::new().bytes(&serde_json::to_vec(&[cameras, gain_cameras])?)));
         }
         References::Photographs(photographs) => {
             values.push(("references", json!("photographs")));
@@ -252,7 +252,7 @@ mod tests {
         let cache = folder.path().join("a.utility.json");
         let measure = |scene: &Scene, x: f64, options: &UtilityOptions| {
             let (mut warnings, cameras) = (Vec::new(), [camera(x)]);
-            let references = References::renders(scene, &cameras);
+            let references = References::renders(scene, &cameras, &cameras);
             let table = utilities(
                 &references,
                 &received.content(),

@@ -8,7 +8,7 @@ use trainer_host::{
     Stream,
     encode::Protection,
     stream::PacketMap,
-    utility::{References, UtilityOptions},
+    utility::{References, UtilityOptions, gain_cameras},
     viewpoint::{Framing, Ring},
 };
 
@@ -60,7 +60,8 @@ pub fn sendable(
         let stream = super::encode(&loaded.scene, &options, quiet)?.stream;
         let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
         let cameras = Framing::of(&loaded.scene).ring(Ring::Measuring, 3, (128, 128))?;
-        let references = References::renders(&loaded.scene, &cameras);
+        let gain_cameras = gain_cameras(&loaded.scene)?;
+        let references = References::renders(&loaded.scene, &cameras, &gain_cameras);
         let how = UtilityOptions::paper();
         let table = utilities(&references, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
         (stream, Some(table))

@@ -4,8 +4,9 @@
 //! D = MSE + 0.20 (1 − SSIM) against a reference I: the source's own render, or a photograph. A context is
 //! a random dependency-closed state; inside it each cell is stepped through its levels with everything else
 //! held, so that L + 1 pictures measure L groups. All contexts of a span are rendered in the same views (a
-//! frame and a camera each), so mean, lower tail and deviation are over states and not over views. Cameras
-//! are the caller's; keep them apart from those on which quality is reported.
+//! frame and a camera each), so mean, lower tail and deviation are over states and not over views. The gain
+//! of a group is its Δ where everything else is there, one state in more views. Cameras are the caller's;
+//! keep them apart from those on which quality is reported.
 
 use codec_core::internals::{
     ids::{Level, Span},
@@ -25,6 +26,7 @@ mod alone;
 mod audit;
 mod contexts;
 mod error;
+mod gain;
 mod references;
 mod truncation;
 mod versions;
@@ -32,6 +34,7 @@ mod versions;
 pub use alone::measure_alone;
 pub use audit::LevelAudit;
 pub use error::UtilityError;
+pub use gain::gain_cameras;
 pub use references::{ReferencePhotograph, ReferencePhotographs, References, SourceRenders};
 pub use truncation::{Truncated, group_bytes, tops, truncate, truncation_cameras};
 
@@ -71,6 +74,16 @@ impl UtilityOptions {
         Self { settings, ..self.clone() }
     }
 
+    /// What is measured: in the complete state, gains are the means.
+    fn quantities(&self) -> &'static [Quantity] {
+        if self.complete { &[Quantity::Utility] } else { &[Quantity::Utility, Quantity::Gain] }
+    }
+
+    /// How `quantity` is measured.
+    fn of_quantity(&self, quantity: Quantity) -> Self {
+        Self { complete: self.complete || quantity == Quantity::Gain, ..self.clone() }
+    }
+
     /// States rendered per span.
     fn states(&self) -> usize {
         if self.complete { 1 } else { self.contexts.max(1) }
@@ -92,6 +105,8 @@ pub struct GroupUtility {
     pub deviation: f64,
     /// Risk-adjusted utility Ũ = ((1 − α) mean + α tail) / (1 + β deviation).
     pub utility: f64,
+    /// Δ where everything else is there, mean over views.
+    pub gain: f64,
 }
 
 /// Utilities of all groups of one stream, as stored beside it.
@@ -112,7 +127,7 @@ pub struct GroupUtility {
 /// let stream = encode(&scene, &options, &trainer_host::encode::unheard)?.stream;
 /// let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
 /// let cameras = Framing::of(&scene).ring(Ring::Measuring, 1, (48, 48))?;
-/// let references = References::renders(&scene, &cameras);
+/// let references = References::renders(&scene, &cameras, &cameras);
 /// let how = UtilityOptions { contexts: 2, ..UtilityOptions::paper() };
 /// let table = measure(&references, &received.content(), &map, &how, &|_share| {})?;
 /// assert_eq!(table.groups.len(), map.groups().len());
@@ -153,15 +168,17 @@ pub fn measure(
     let spans = spans(map);
     let mut jobs: Vec<Job> = Vec::new();
     for span in &spans {
-        let views = references.views_of(content, span.span, options.seed)?;
-        jobs.extend((0..views).map(|view| Job { span, view, views }));
+        for quantity in options.quantities() {
+            let views = references.views_of(content, span.span, *quantity, options.seed)?;
+            jobs.extend((0..views).map(|view| Job { span, quantity: *quantity, view, views }));
+        }
     }
     let done = std::sync::atomic::AtomicUsize::new(0);
     let results: Result<Vec<Vec<Delta>>, UtilityError> = jobs
         .par_iter()
-        .map(|&Job { span, view, views }| {
-            let mut deltas = deltas_in_view(references, content, map, span, view, options)?;
-            deltas.iter_mut().for_each(|delta| delta.delta /= views as f64);
+        .map(|job| {
+            let mut deltas = deltas_in_view(references, content, map, job, options)?;
+            deltas.iter_mut().for_each(|delta| delta.delta /= job.views as f64);
             let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
             progress(n as f64 / jobs.len() as f64);
             Ok(deltas)
@@ -169,15 +186,23 @@ pub fn measure(
         .collect();
     // Of each group and context, the mean over views.
     let mut samples: Vec<Vec<f64>> = vec![Vec::new(); map.groups().len()];
+    let mut gains = vec![0.0; map.groups().len()];
     let mut deltas = 0;
-    for Delta { group, context, delta } in results?.into_iter().flatten() {
-        samples[group].resize(options.states(), 0.0);
-        samples[group][context] += delta;
-        deltas += 1;
+    for (job, found) in jobs.iter().zip(results?) {
+        deltas += found.len() as u64;
+        for Delta { group, context, delta } in found {
+            if job.quantity == Quantity::Gain || options.complete {
+                gains[group] += delta;
+            }
+            if job.quantity == Quantity::Utility {
+                samples[group].resize(options.states(), 0.0);
+                samples[group][context] += delta;
+            }
+        }
     }
-    let groups = map.groups().iter().zip(&mut samples).map(|((group, _), samples)| {
+    let groups = map.groups().iter().zip(&mut samples).zip(gains).map(|(((group, _), samples), gain)| {
         let cell = content.manifest.cell(group.span, group.cluster).map_or(0, |c| c.0);
-        summarise(cell, group.level, samples, options)
+        GroupUtility { gain, ..summarise(cell, group.level, samples, options) }
     });
     let contexts =
         if options.complete { "complete state".to_owned() } else { format!("{} contexts", options.states()) };
@@ -196,10 +221,20 @@ pub fn measure(
     })
 }
 
+/// What a view of a span is rendered for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Quantity {
+    /// Mean, tail and deviation: in every context.
+    Utility,
+    /// The gain: in the complete state.
+    Gain,
+}
+
 /// A view of a span.
 #[derive(Clone, Copy)]
 struct Job<'a> {
     span: &'a SpanCells,
+    quantity: Quantity,
     view: usize,
     /// Views of the span.
     views: usize,
@@ -214,7 +249,7 @@ fn summarise(cell: u32, level: Level, samples: &mut [f64], options: &UtilityOpti
     let tail = quantile(samples, 0.1);
     let deviation = variance.sqrt();
     let utility = ((1.0 - options.alpha) * mean + options.alpha * tail) / (1.0 + options.beta * deviation);
-    GroupUtility { cell, level: level.get(), mean, tail, deviation, utility }
+    GroupUtility { cell, level: level.get(), mean, tail, deviation, utility, gain: 0.0 }
 }
 
 /// Linear-interpolated quantile of sorted samples; 0 if there are none.
@@ -232,16 +267,16 @@ struct Delta {
     delta: f64,
 }
 
-/// Δ of all groups of one span in all contexts, in view `view` of the span.
+/// Δ of all groups of one span in all contexts, in one view of the span.
 fn deltas_in_view(
     references: &References<'_>,
     content: &Content<'_>,
     map: &PacketMap,
-    span: &SpanCells,
-    view: usize,
+    &Job { span, quantity, view, .. }: &Job<'_>,
     options: &UtilityOptions,
 ) -> Result<Vec<Delta>, UtilityError> {
-    let (epoch, view) = references.view(content, span.span, view, options.seed, &options.settings)?;
+    let options = &options.of_quantity(quantity);
+    let (epoch, view) = references.view(content, span.span, quantity, view, options)?;
     let mut clusters = Clusters::new(content, epoch, view.frame);
     let (mut waiting, mut out) = (Vec::new(), Vec::new());
     // Contexts whose clusters show versions of their own go to the engine one at a time: together, each would

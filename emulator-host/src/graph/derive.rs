@@ -132,7 +132,7 @@ fn check_ranges(parts: &GraphParts) -> Result<(), GraphError> {
             let (first, last) = (group.first_frame, group.last_frame);
             return Err(GraphError::Frames { group: at as u32, first, last, frames: parts.frames });
         }
-        if !group.utility.is_finite() {
+        if !(group.utility.is_finite() && group.risk_adjusted.is_finite()) {
             return Err(GraphError::Utility { group: at as u32 });
         }
     }
@@ -311,6 +311,7 @@ mod tests {
             needs: needs.iter().map(|need| GroupIndex(*need)).collect(),
             packets: packets.iter().map(|packet| PacketIndex(*packet)).collect(),
             utility: 1.0,
+            risk_adjusted: 1.0,
             place: None,
         }
     }
@@ -370,6 +371,7 @@ mod tests {
                 GraphError::Frames { group: 0, first: 4, last: 10, frames: 10 },
             ),
             (|p| p.groups[0].utility = f64::NAN, GraphError::Utility { group: 0 }),
+            (|p| p.groups[1].risk_adjusted = f64::INFINITY, GraphError::Utility { group: 1 }),
             (|p| p.groups[2].needs.push(GroupIndex(0)), GraphError::GroupCycle { group: 0 }),
             (|p| p.packets[0].needs_packets.push(PacketIndex(0)), GraphError::PacketCycle { packet: 0 }),
             (

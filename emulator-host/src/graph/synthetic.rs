@@ -225,6 +225,7 @@ impl Draft<'_> {
                 needs,
                 packets,
                 utility,
+                risk_adjusted: utility,
                 place: None,
             });
         }

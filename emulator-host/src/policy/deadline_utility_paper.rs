@@ -5,7 +5,7 @@
 //!   trip less the way back, plus what of C(g) is not yet sent at the path's rate; its spread is the round
 //!   trip's deviation plus half of that sending time. The result is multiplied by the chance that no packet
 //!   of it is lost, counting the retransmissions that a base packet has.
-//! - Ũ_g: the group's utility per frame times the frames on which it shows; with P_g the mean over those
+//! - Ũ_g: the group's risk-adjusted utility per frame times the frames on which it shows; with P_g the mean over those
 //!   frames, the product is what the group is expected to add to all frames together. Groups with none, or
 //!   less, are never targets.
 //! - U_g = ½ (1 + f), with f the share of g's own bytes that is under way or there: it rises as g nears
@@ -93,7 +93,7 @@ impl DeadlineUtilityPaper {
         by_time.sort_by_key(|index| (graph.groups()[index.at()].first_frame, *index));
         Self {
             config,
-            flat: graph.utility_is_flat().then(|| Dependency::new(graph)),
+            flat: graph.risk_adjusted_is_flat().then(|| Dependency::new(graph)),
             tallies,
             by_time,
             entered: 0,
@@ -114,7 +114,7 @@ impl DeadlineUtilityPaper {
     /// The score, or `None` also if it cannot exceed `floor`; the bound P ≤ 1 saves most of the work.
     fn score_above(&self, view: &SenderView<'_>, group: GroupIndex, now: Nanos, floor: f64) -> Option<f64> {
         let facts = &view.graph.groups()[group.at()];
-        if facts.utility <= 0.0 {
+        if facts.risk_adjusted <= 0.0 {
             return None;
         }
         let need = self.need(view, group)?;
@@ -125,7 +125,7 @@ impl DeadlineUtilityPaper {
         let begun = 1.0 - f64::from(own.waiting_bytes) / f64::from(own.total_bytes);
         // Utility is per frame shown, so a group that shows on more frames is worth more.
         let frames = f64::from(facts.last_frame - facts.first_frame + 1);
-        let bound = facts.utility * frames * 0.5 * (1.0 + begun) / need.unacked_bytes as f64;
+        let bound = facts.risk_adjusted * frames * 0.5 * (1.0 + begun) / need.unacked_bytes as f64;
         if bound <= floor {
             return None;
         }
@@ -206,7 +206,7 @@ impl DeadlineUtilityPaper {
             if view.graph.groups()[group.at()].first_frame >= view.horizon_frame {
                 break;
             }
-            if view.graph.groups()[group.at()].utility > 0.0 {
+            if view.graph.groups()[group.at()].risk_adjusted > 0.0 {
                 self.candidates.push(group);
             }
             self.entered += 1;

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use render_host::{Renderer, Settings, Splats, metric};
 
 use super::{
-    Delta, References, UtilityError, UtilityOptions,
+    Delta, Quantity, References, UtilityError, UtilityOptions,
     contexts::{SpanCells, spans},
     references::View,
     state_of, versions,
@@ -30,7 +30,7 @@ pub fn measure_alone(
     let options = &options.of_content(content);
     let mut sums = std::collections::BTreeMap::new();
     for span in spans(map) {
-        let views = references.views_of(content, span.span, options.seed)?;
+        let views = references.views_of(content, span.span, Quantity::Utility, options.seed)?;
         let samples = (views * options.states()) as f64;
         for view in 0..views {
             let deltas = deltas_in_view(references, content, map, &span, view, options, every)?;
@@ -52,7 +52,7 @@ pub(super) fn deltas_in_view(
     options: &UtilityOptions,
     every: usize,
 ) -> Result<Vec<Delta>, UtilityError> {
-    let (_, view) = references.view(content, span.span, view, options.seed, &options.settings)?;
+    let (_, view) = references.view(content, span.span, Quantity::Utility, view, options)?;
     let cells: Vec<(usize, &[usize])> = span.groups(map).step_by(every.max(1)).collect();
     let mut out = Vec::new();
     for context in 0..options.states() {

@@ -11,7 +11,7 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use render_host::{Camera, Image, Renderer, Settings, Splats};
 
-use super::error::UtilityError;
+use super::{Quantity, UtilityOptions, error::UtilityError};
 use crate::{scene::Scene, train::Views};
 
 /// What states are compared with.
@@ -28,8 +28,10 @@ pub enum References<'a> {
 pub struct SourceRenders<'a> {
     /// The source.
     pub scene: &'a Scene,
-    /// Cameras to render from, at least one.
+    /// Cameras to render states from, at least one.
     pub cameras: &'a [Camera],
+    /// Cameras to measure gains from, at least one: each costs one state, so that there may be more.
+    pub gain_cameras: &'a [Camera],
     /// Frames of a span (a window, or an epoch for canonical groups) that each camera renders, at least 1.
     pub frames_per_span: usize,
 }
@@ -65,7 +67,7 @@ pub(super) struct View {
 impl ReferencePhotographs {
     /// The photographs of `views` over `background`, each reduced by the smallest whole divisor of its sides
     /// that leaves neither longer than `longest_side` pixels; where there is none, as they are. Of each span,
-    /// up to `per_span` are used: at least 1.
+    /// up to `per_span` are used, and twice as many for gains: at least 1.
     ///
     /// # Errors
     /// No photographs, or one that cannot be reduced.
@@ -100,16 +102,17 @@ impl ReferencePhotographs {
         &self.photographs
     }
 
-    /// Photographs used of a span, at most.
+    /// Photographs used of a span, at most; for gains twice as many.
     pub const fn per_span(&self) -> usize {
         self.per_span
     }
 
-    /// Those used of a span of `frames`, each with the frame nearest to it.
+    /// Those of a span of `frames` in which `quantity` is measured, each with the frame nearest to it.
     fn of_span(
         &self,
         frames: &Range<u32>,
         clip: u32,
+        quantity: Quantity,
         rng: &mut Pcg64,
     ) -> Result<Vec<(usize, u32)>, UtilityError> {
         let last = f64::from(clip.saturating_sub(1));
@@ -120,20 +123,23 @@ impl ReferencePhotographs {
             return Err(UtilityError::NoPhotograph { first: frames.start, end: frames.end });
         }
         inside.shuffle(rng);
-        inside.truncate(self.per_span);
+        inside.truncate(match quantity {
+            Quantity::Utility => self.per_span,
+            Quantity::Gain => 2 * self.per_span,
+        });
         Ok(inside)
     }
 }
 
 impl<'a> References<'a> {
-    /// Renders of `scene`, one frame per span and camera.
-    pub const fn renders(scene: &'a Scene, cameras: &'a [Camera]) -> Self {
-        Self::Renders(SourceRenders { scene, cameras, frames_per_span: 1 })
+    /// Renders of `scene`, one frame per span and camera: states from `cameras`, gains from `gain_cameras`.
+    pub const fn renders(scene: &'a Scene, cameras: &'a [Camera], gain_cameras: &'a [Camera]) -> Self {
+        Self::Renders(SourceRenders { scene, cameras, gain_cameras, frames_per_span: 1 })
     }
 }
 
 impl References<'_> {
-    /// Views in which the contexts of `span` are rendered.
+    /// Views in which `quantity` of the groups of `span` is measured.
     ///
     /// # Errors
     /// No camera, or a span that no photograph shows.
@@ -141,15 +147,18 @@ impl References<'_> {
         &self,
         content: &Content<'_>,
         span: Span,
+        quantity: Quantity,
         seed: u64,
     ) -> Result<usize, UtilityError> {
         match self {
-            Self::Renders(SourceRenders { cameras: [], .. }) => Err(UtilityError::NoCamera),
-            Self::Renders(renders) => Ok(renders.cameras.len() * renders.frames_per_span.max(1)),
+            Self::Renders(renders) => match renders.cameras_of(quantity).len() {
+                0 => Err(UtilityError::NoCamera),
+                cameras => Ok(cameras * renders.frames_per_span.max(1)),
+            },
             Self::Photographs(photographs) => {
                 let clip = content.manifest.head().frames;
                 let (_, frames) = frames_of(content, span)?;
-                Ok(photographs.of_span(&frames, clip, &mut random(span, 0, 0, seed))?.len())
+                Ok(photographs.of_span(&frames, clip, quantity, &mut random(span, 0, 0, seed))?.len())
             }
         }
     }
@@ -162,21 +171,24 @@ impl References<'_> {
         &self,
         content: &Content<'_>,
         span: Span,
+        quantity: Quantity,
         index: usize,
-        seed: u64,
-        settings: &Settings,
+        options: &UtilityOptions,
     ) -> Result<(EpochId, View), UtilityError> {
+        let seed = options.seed;
         let (epoch, frames) = frames_of(content, span)?;
         let view = match self {
             Self::Renders(renders) => {
                 let count = frames.len().max(1) as u32;
                 let frame = frames.start + random(span, index as u32, 0, seed).random_range(0..count);
-                let camera = &renders.cameras[index % renders.cameras.len()];
-                View { frame, camera: camera.clone(), reference: renders.render(frame, camera, settings)? }
+                let cameras = renders.cameras_of(quantity);
+                let camera = &cameras[index % cameras.len()];
+                let reference = renders.render(frame, camera, &options.settings)?;
+                View { frame, camera: camera.clone(), reference }
             }
             Self::Photographs(photographs) => {
                 let clip = content.manifest.head().frames;
-                let chosen = photographs.of_span(&frames, clip, &mut random(span, 0, 0, seed))?;
+                let chosen = photographs.of_span(&frames, clip, quantity, &mut random(span, 0, 0, seed))?;
                 let (place, frame) = chosen[index % chosen.len()];
                 let ReferencePhotograph { camera, image, .. } = &photographs.photographs[place];
                 View { frame, camera: camera.clone(), reference: image.clone() }
@@ -192,9 +204,10 @@ impl References<'_> {
             Self::Renders(renders) => {
                 let (width, height) = size(renders.cameras.first());
                 format!(
-                    "renders of the source from {} cameras at {width}x{height}, {} frames per span and \
-                     camera",
+                    "renders of the source from {} cameras (gains: {}) at {width}x{height}, {} frames per \
+                     span and camera",
                     renders.cameras.len(),
+                    renders.gain_cameras.len(),
                     renders.frames_per_span
                 )
             }
@@ -202,9 +215,10 @@ impl References<'_> {
                 let all = &photographs.photographs;
                 let (width, height) = size(all.first().map(|photograph| &photograph.camera));
                 format!(
-                    "{} photographs at {width}x{height}, up to {} per span",
+                    "{} photographs at {width}x{height}, up to {} per span (gains: {})",
                     all.len(),
-                    photographs.per_span
+                    photographs.per_span,
+                    2 * photographs.per_span
                 )
             }
         }
@@ -212,6 +226,13 @@ impl References<'_> {
 }
 
 impl SourceRenders<'_> {
+    const fn cameras_of(&self, quantity: Quantity) -> &[Camera] {
+        match quantity {
+            Quantity::Utility => self.cameras,
+            Quantity::Gain => self.gain_cameras,
+        }
+    }
+
     fn render(&self, frame: u32, camera: &Camera, settings: &Settings) -> Result<Image, UtilityError> {
         let refused = |error: &dyn std::fmt::Display| UtilityError::Render(error.to_string());
         let frames = self.scene.frames();

@@ -41,6 +41,10 @@ fn few() -> UtilityOptions {
     UtilityOptions { contexts: 2, ..UtilityOptions::paper() }
 }
 
+fn job(span: &SpanCells) -> Job<'_> {
+    Job { span, quantity: Quantity::Utility, view: 1, views: 2 }
+}
+
 fn two_cameras(scene: &Scene) -> Vec<Camera> {
     Framing::of(scene).ring(Ring::Measuring, 2, (48, 36)).unwrap()
 }
@@ -51,12 +55,12 @@ fn utilities_are_those_of_states_rendered_alone() {
     let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
     let (content, options) = (received.content(), few());
     let cameras = two_cameras(&scene);
-    let references = References::renders(&scene, &cameras);
+    let references = References::renders(&scene, &cameras, &cameras);
     let spans = spans(&map);
     assert!(spans.iter().any(|s| matches!(s.span, Span::Motion(_))), "there is motion to measure");
     let (mut compared, mut largest, mut shifted) = (0, 0.0f64, 0.0f64);
     for span in [&spans[0], &spans[spans.len() - 1]] {
-        let got = deltas_in_view(&references, &content, &map, span, 1, &options).unwrap();
+        let got = deltas_in_view(&references, &content, &map, &job(span), &options).unwrap();
         let expected = alone::deltas_in_view(&references, &content, &map, span, 1, &options, 1).unwrap();
         assert_eq!(got.len(), expected.len());
         for (got, expected) in got.iter().zip(&expected) {
@@ -78,7 +82,7 @@ fn one_table_on_any_number_of_threads_and_another_for_other_contexts() {
     let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
     let (content, options) = (received.content(), few());
     let cameras = two_cameras(&scene);
-    let references = References::renders(&scene, &cameras);
+    let references = References::renders(&scene, &cameras, &cameras);
     let measure = |options: &UtilityOptions| measure(&references, &content, &map, options, &|_| {}).unwrap();
     let table = measure(&options);
     assert_eq!(table.groups.len(), map.groups().len());
@@ -87,7 +91,14 @@ fn one_table_on_any_number_of_threads_and_another_for_other_contexts() {
     for (group, mean) in means {
         assert!((table.groups[group].mean - mean).abs() < 1e-12, "group {group}");
     }
-    assert_eq!(table.deltas as usize, map.groups().len() * 2 * 2, "two contexts, two views");
+    assert_eq!(table.deltas as usize, map.groups().len() * (2 * 2 + 2), "two contexts and a gain, two views");
+    // The gain is the mean over views in the complete state.
+    let complete = UtilityOptions { complete: true, ..few() };
+    for (group, mean) in measure_alone(&references, &content, &map, &complete, 5).unwrap() {
+        assert!((table.groups[group].gain - mean).abs() < 1e-12, "gain of group {group}");
+    }
+    assert!(table.groups.iter().any(|group| (group.gain - group.mean).abs() > 1e-6), "gain is not the mean");
+    assert!(measure(&complete).groups.iter().all(|group| group.gain == group.mean));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     assert_eq!(pool.install(|| measure(&options)), table);
     let other = measure(&UtilityOptions { seed: 2, ..options.clone() });
@@ -132,7 +143,7 @@ fn utilities_against_photographs_are_those_against_the_renders_that_they_show() 
     // Frames shown are those that the photographs were taken of: a reference is its render, but for 8 bits.
     let span = Span::Motion(codec_core::internals::ids::WindowId(0));
     for index in 0..2 {
-        let (_, view) = references.view(&content, span, index, 1, &options.settings).unwrap();
+        let (_, view) = references.view(&content, span, Quantity::Utility, index, &options).unwrap();
         let source = scene.instant(view.frame as usize).unwrap();
         let splats = Splats::new(&source.gaussians, &source.sh_rest, source.sh_degree).unwrap();
         let large = view.camera.resized(96, 72).unwrap();
@@ -166,6 +177,6 @@ fn a_window_that_no_photograph_shows_is_named() {
     assert!(text.starts_with("no photograph shows frames "), "{text}");
     let none = ReferencePhotographs::new(&Views::<Training>::new(Vec::new()).unwrap(), [0.0; 3], 48, 2);
     assert!(matches!(none, Err(UtilityError::NoCamera)));
-    let none = References::renders(&scene, &[]);
+    let none = References::renders(&scene, &[], &[]);
     assert!(matches!(measure(&none, &content, &map, &few(), &|_| {}), Err(UtilityError::NoCamera)));
 }

@@ -196,7 +196,7 @@ mod tests {
         let map = PacketMap::of(&whole.stream).unwrap();
         let received = whole.stream.receive().unwrap();
         let cameras = truncation_cameras(&scene).unwrap();
-        let references = References::renders(&scene, &cameras);
+        let references = References::renders(&scene, &cameras, &cameras);
         let how = UtilityOptions::complete();
         let table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();
         let (cut, truncated) =

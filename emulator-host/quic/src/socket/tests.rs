@@ -48,6 +48,7 @@ fn graph(stream: &Stream) -> PacketGraph {
         needs: Vec::new(),
         packets: vec![PacketIndex(at)],
         utility: 1.0,
+        risk_adjusted: 1.0,
         place: None,
     };
     let packet = |at: u32| Packet {

@@ -419,6 +419,7 @@ mod tests {
             needs: needs.iter().map(|need| GroupIndex(*need)).collect(),
             packets: vec![PacketIndex(at as u32)],
             utility,
+            risk_adjusted: utility,
             place: None,
         };
         let rows = || groups.iter().enumerate();

@@ -1,5 +1,7 @@
 //! Times the utilities of all groups of a stream: by the engine against every state decoded and rendered
-//! alone.
+//! alone. What orders of packets by them are worth, `order` measures.
+
+mod order;
 
 use std::time::Instant;
 
@@ -33,7 +35,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
              measuring ring at 160x160; contexts: random states, 3 cameras, one frame per span and camera; \
              complete: all else arrived, 8 cameras; peer: each state decoded, rendered and compared alone, \
              every {EVERY}th cell (1 context), its time scaled to all cells and contexts; error: worst \
-             mean of those cells, of the largest"
+             mean of those cells, of the largest; {}",
+            order::PROTOCOL
         ),
     );
     let samples = if setup.quick { 1000 } else { 10_000 };
@@ -58,12 +61,13 @@ fn measure(bench: &mut Bench, key: &str, scene: &Scene, setup: &Setup) -> Result
     let content = received.content();
     let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (160, 160))?;
     let rings = utility::truncation_cameras(scene)?;
+    let gain_cameras = utility::gain_cameras(scene)?;
     let (paper, complete) = (utility::UtilityOptions::paper(), utility::UtilityOptions::complete());
     let contexts = if setup.quick { 4 } else { paper.contexts };
     let paper = utility::UtilityOptions { contexts, ..paper };
     bench.push(Figure::new(format!("{key}.groups"), map.groups().len() as f64, "groups"));
     for (name, options, cameras) in [("contexts", paper, &cameras), ("complete", complete, &rings)] {
-        let references = utility::References::renders(scene, cameras);
+        let references = utility::References::renders(scene, cameras, &gain_cameras);
         let start = Instant::now();
         let table = utility::measure(&references, &content, &map, &options, &|_| {})?;
         let ours = start.elapsed().as_secs_f64();
@@ -87,6 +91,9 @@ fn measure(bench: &mut Bench, key: &str, scene: &Scene, setup: &Setup) -> Result
         );
         let rate = table.deltas as f64 / ours;
         bench.push(Figure::new(format!("{key}.{name}.rate"), rate, "utilities/s"));
+        if !options.complete {
+            order::measure(bench, key, scene, &stream, &table)?;
+        }
     }
     Ok(())
 }

@@ -146,8 +146,10 @@ pub(super) fn utilities(
     setup: &Setup,
 ) -> Result<utility::Table> {
     let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (96, 96))?;
-    let options = utility::UtilityOptions { contexts: 2, ..utility::UtilityOptions::paper() };
-    let references = utility::References::renders(scene, &cameras);
+    let contexts = if setup.quick { 4 } else { utility::UtilityOptions::paper().contexts };
+    let options = utility::UtilityOptions { contexts, ..utility::UtilityOptions::paper() };
+    let gain_cameras = utility::gain_cameras(scene)?;
+    let references = utility::References::renders(scene, &cameras, &gain_cameras);
     let received = stream.receive()?;
     pipeline::utilities(&references, &received.content(), map, &options, None, setup.quiet, &mut |_| ())
 }

@@ -1,0 +1,96 @@
+//! Gains are what groups add once everything else is there: what schedules, cuts and files go by.
+//!
+//! A clip that is delivered at all is nearly whole, and a group decides over the picture among what is there
+//! already. On cameras that nothing was measured from, orders by gain leave smaller errors at the same bytes
+//! than orders by the risk-adjusted utility over random states (`dgs bench utility`), and a gain takes one
+//! state where that takes 32.
+
+use codec_core::internals::ids::Span;
+use render_host::{Camera, CameraError};
+
+use super::{Table, truncation::group_bytes};
+use crate::{
+    scene::Scene,
+    stream::{PacketMap, Stream},
+    viewpoint::{Framing, Ring},
+};
+
+/// Share of a group's expected gain that is what its bytes gain in all groups of its kind: a few cameras miss
+/// what a group adds elsewhere, so that none counts for nothing.
+const SHARED: f64 = 0.02;
+
+/// The cameras that gains are measured from, from where viewers look: one measuring ring.
+///
+/// # Errors
+/// None in practice: the size is one that cameras accept.
+pub fn gain_cameras(scene: &Scene) -> Result<Vec<Camera>, CameraError> {
+    Framing::of(scene).ring(Ring::Measuring, 8, (160, 160))
+}
+
+impl Table {
+    /// What each group of `stream`, whose map is `map`, is expected to add to a frame in which it shows: at
+    /// least 0, and 0 only where no group of its kind (level; window or epoch) gains anything. Measured
+    /// gains, where they are positive, drawn by 2 % towards what the kind gains per byte.
+    pub fn expected_gains(&self, stream: &Stream, map: &PacketMap) -> Vec<f64> {
+        let bytes = group_bytes(stream, map);
+        let kinds = map.groups().iter().map(|(group, _)| {
+            2 * usize::from(group.level.get()) + usize::from(matches!(group.span, Span::Motion(_)))
+        });
+        let mut sums = [(0.0, 0.0); 8];
+        let groups = || self.groups.iter().zip(&bytes).zip(kinds.clone());
+        for ((group, bytes), kind) in groups() {
+            sums[kind].0 += group.gain.max(0.0);
+            sums[kind].1 += bytes;
+        }
+        let expected = groups().map(|((group, bytes), kind)| {
+            let (gain, all) = sums[kind];
+            let per_byte = if all > 0.0 { gain / all } else { 0.0 };
+            (1.0 - SHARED) * group.gain.max(0.0) + SHARED * per_byte * bytes
+        });
+        expected.collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        encode::{EncodeOptions, encode, unheard},
+        import::{Limits, synth},
+        utility::{GroupUtility, References, UtilityOptions, measure},
+    };
+
+    #[test]
+    fn gains_that_were_measured_keep_their_order_and_what_measured_none_counts_a_little() {
+        let options = synth::SynthOptions { gaussians: 800, frames: 20, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let options = EncodeOptions { pictures: 0, ..Default::default() };
+        let stream = encode(&scene, &options, &unheard).unwrap().stream;
+        let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
+        let cameras = Framing::of(&scene).ring(Ring::Measuring, 2, (40, 30)).unwrap();
+        let references = References::renders(&scene, &cameras, &cameras);
+        let how = UtilityOptions { contexts: 1, ..UtilityOptions::paper() };
+        let mut table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();
+        let level = |group: &GroupUtility| usize::from(group.level);
+        // Level 1 gains nothing anywhere; of the others, every third group was not seen.
+        for (at, group) in table.groups.iter_mut().enumerate() {
+            match (level(group), at % 3) {
+                (1, _) => group.gain = -1e-5,
+                (_, 0) => group.gain = 0.0,
+                _ => {}
+            }
+        }
+        let expected = table.expected_gains(&stream, &map);
+        let pairs = || table.groups.iter().zip(&expected);
+        assert!(pairs().all(|(group, expected)| (*expected > 0.0) == (level(group) != 1)));
+        let largest = pairs().max_by(|a, b| a.0.gain.total_cmp(&b.0.gain)).unwrap();
+        let unseen = pairs().filter(|(group, _)| level(group) == level(largest.0) && group.gain == 0.0);
+        assert!(unseen.count() > 2 && (largest.1 / largest.0.gain - 1.0).abs() < SHARED);
+        // What a kind gains is shared, not made.
+        let sum = |values: &dyn Fn(&GroupUtility, f64) -> f64| -> f64 {
+            pairs().map(|(group, expected)| values(group, *expected)).sum()
+        };
+        let (before, after) = (sum(&|group, _| group.gain.max(0.0)), sum(&|_, expected| expected));
+        assert!((after / before - 1.0).abs() < 1e-9, "{before} {after}");
+    }
+}
