@@ -62,7 +62,7 @@ mod tests {
 
     #[test]
     fn gains_that_were_measured_keep_their_order_and_what_measured_none_counts_a_little() {
-        let options = synth::SynthOptions { gaussians: 800, frames: 20, ..Default::default() };
+        let options = synth::SynthOptions { gaussians: 1000, frames: 20, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let options = EncodeOptions { pictures: 0, ..Default::default() };
         let stream = encode(&scene, &options, &unheard).unwrap().stream;
