@@ -240,9 +240,10 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     }
 
     /// Until when another datagram would only lengthen the sender's own queue on the path; `None` if it would
-    /// not. Two may always be out, and one more leaves after every silence of twice the queue: what is in
-    /// flight may be lost, and without an acknowledgement of something later nothing but the probe timeout
-    /// would tell. Control is not subject to this.
+    /// not. Two may always be out, and one more leaves after every silence of twice the queue, or of what the
+    /// path needs for two datagrams, so that a full path drains nevertheless: what is in flight may be lost,
+    /// and without an acknowledgement of something later nothing but the probe timeout would tell. Control is
+    /// not subject to this.
     pub fn full_until(&self, now: Nanos) -> Option<Nanos> {
         let path = &self.outlook.path;
         let own_queue = self.service.own_queue.filter(|_| path.minimum_rtt > Nanos::ZERO)?;
@@ -256,7 +257,8 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         if path.rate.moves_within(Bytes(path.in_flight), longest) {
             return None;
         }
-        let silence_ends = self.last_sent_at + own_queue.times(2);
+        let silence = own_queue.times(2).max(path.rate.time_for(Bytes(2 * path.datagram_bytes)));
+        let silence_ends = self.last_sent_at + silence;
         (now < silence_ends).then_some(silence_ends)
     }
 

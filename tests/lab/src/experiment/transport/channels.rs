@@ -26,7 +26,7 @@ const FILES: [(&str, &str); 12] = [
     ("oboe", "broadband_merina/oboe/oboe_trace_24.txt"),
     ("puffer", "broadband_merina/puffer/traceqlR-8J7X0pokdh-1du6gTz2WWgygH2P4X-SuTVinEVA=_3"),
 ];
-/// Stream bytes over what the link carries during the clip.
+/// Stream bytes over what the link carries until the clip is over.
 pub(super) const LOAD: f64 = 1.6;
 /// A window whose bound is lower says nothing of schedulers: its link is dead.
 pub(super) const LEAST_BOUND: f64 = 0.05;
@@ -81,23 +81,35 @@ fn constant() -> Result<Trace> {
     Ok(Trace::steps("constant", vec![step], Nanos::from_s(120))?)
 }
 
-/// Rate at which `graph` is [`LOAD`] times what fits into its clip.
-fn wanted(graph: &PacketGraph) -> Rate {
-    let clip = graph.frame_interval().times(u64::from(graph.frames()));
-    Rate((graph.total_bytes() as f64 * 8.0 / clip.as_s() / LOAD) as u64)
-}
-
-/// When playout starts, for everyone: after a second, or when the mean rate has carried the manifest and the
-/// base of frame 0 with a fifth to spare.
-pub(super) fn start(graph: &PacketGraph) -> Nanos {
+/// Bytes that must be there before playout: the manifest and the base of frame 0, with a fifth to spare.
+fn opening_bytes(graph: &PacketGraph) -> f64 {
     let groups = graph.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
     let mut packets: Vec<_> = groups.flat_map(|group| &group.packets).collect();
     packets.sort_unstable();
     packets.dedup();
     let base: u64 =
         packets.iter().map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes) + 58).sum();
-    let least = wanted(graph).time_for(Bytes(base + u64::from(graph.manifest_bytes())));
-    (least + Nanos(least.0 / 5)).max(Nanos::from_s(1))
+    1.2 * (base + u64::from(graph.manifest_bytes())) as f64
+}
+
+fn clip(graph: &PacketGraph) -> Nanos {
+    graph.frame_interval().times(u64::from(graph.frames()))
+}
+
+/// Rate at which `graph` is [`LOAD`] times what is carried until its clip is over: in the wait before playout,
+/// and while it plays.
+fn wanted(graph: &PacketGraph) -> Rate {
+    let (fits, clip) = (graph.total_bytes() as f64 / LOAD, clip(graph).as_s());
+    let after_a_second = fits / (clip + 1.0);
+    let while_it_plays = (fits - opening_bytes(graph)) / clip;
+    // Where the opening takes longer than a second, it takes what it takes.
+    let rate = if opening_bytes(graph) > after_a_second { while_it_plays } else { after_a_second };
+    Rate((8.0 * rate).max(1.0) as u64)
+}
+
+/// When playout starts, for everyone: after a second, or when the mean rate has carried the opening.
+pub(super) fn start(graph: &PacketGraph) -> Nanos {
+    wanted(graph).time_for(Bytes(opening_bytes(graph) as u64)).max(Nanos::from_s(1))
 }
 
 impl Channel {
@@ -113,9 +125,8 @@ impl Channel {
         seed: u64,
         loss: f64,
     ) -> Result<Option<SessionConfig>> {
-        let clip = graph.frame_interval().times(u64::from(graph.frames()));
         let start = start(graph);
-        let length = (start + clip + Nanos::from_s(1)).min(self.trace.period());
+        let length = (start + clip(graph) + Nanos::from_s(1)).min(self.trace.period());
         let offset = Nanos(self.trace.period().0 / windows as u64 * window as u64);
         let cut = match self.trace.window(offset, length) {
             Err(emulator_host::trace::TraceError::NoCapacity) => return Ok(None),
