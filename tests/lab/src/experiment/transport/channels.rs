@@ -96,20 +96,24 @@ fn clip(graph: &PacketGraph) -> Nanos {
     graph.frame_interval().times(u64::from(graph.frames()))
 }
 
+/// Shortest and longest wait before playout, seconds: the longest is what players wait by default.
+const WAIT_S: [f64; 2] = [1.0, 5.0];
+
 /// Rate at which `graph` is [`LOAD`] times what is carried until its clip is over: in the wait before playout,
 /// and while it plays.
 fn wanted(graph: &PacketGraph) -> Rate {
     let (fits, clip) = (graph.total_bytes() as f64 / LOAD, clip(graph).as_s());
-    let after_a_second = fits / (clip + 1.0);
-    let while_it_plays = (fits - opening_bytes(graph)) / clip;
-    // Where the opening takes longer than a second, it takes what it takes.
-    let rate = if opening_bytes(graph) > after_a_second { while_it_plays } else { after_a_second };
-    Rate((8.0 * rate).max(1.0) as u64)
+    let [shortest, longest] = WAIT_S.map(|wait| fits / (clip + wait));
+    // Where the opening takes longer than the shortest wait, it takes what it takes.
+    let opening = (fits - opening_bytes(graph)) / clip;
+    Rate((8.0 * opening.clamp(longest, shortest)) as u64)
 }
 
-/// When playout starts, for everyone: after a second, or when the mean rate has carried the opening.
+/// When playout starts, for everyone: when the mean rate has carried the opening, within the bounds of waits.
 pub(super) fn start(graph: &PacketGraph) -> Nanos {
-    wanted(graph).time_for(Bytes(opening_bytes(graph) as u64)).max(Nanos::from_s(1))
+    let opening = wanted(graph).time_for(Bytes(opening_bytes(graph) as u64));
+    let [shortest, longest] = WAIT_S.map(|wait| Nanos((wait * 1e9) as u64));
+    opening.clamp(shortest, longest)
 }
 
 impl Channel {

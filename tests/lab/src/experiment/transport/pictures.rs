@@ -56,7 +56,7 @@ pub(super) fn size(setup: &Setup) -> Size {
     if setup.quick {
         Size { windows: 1, gaussians: 12_000, frames: 60, pictures: 8 }
     } else {
-        Size { windows: 4, gaussians: 20_000, frames: 300, pictures: 20 }
+        Size { windows: 4, gaussians: 20_000, frames: 600, pictures: 20 }
     }
 }
 
