@@ -206,7 +206,8 @@ pub struct Encode {
     /// the processor.
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
     pub device: DeviceName,
-    /// Also measure render utilities and write them beside the stream (NAME.utility.json).
+    /// Also measure what each group of packets adds to a picture and write it beside the stream
+    /// (NAME.utility.json): senders, `dgs cut` and the order of packets in the file go by it.
     #[arg(long)]
     pub utility: bool,
     /// Measure utilities against photographs of the scene instead of its own renders: the training split of a

@@ -155,6 +155,20 @@ fn the_sender_bounds_the_queue_that_it_causes() {
     assert!(free > Nanos::from_ms(500), "{free}");
 }
 
+/// A datagram takes 0.3 s here, so that one after every fifth of a second without any would be too many.
+#[test]
+fn a_path_of_three_datagrams_a_second_drains_what_its_first_window_put_there() {
+    let graph = graph(Synthetic { rate: Rate::from_kbps(60), ..Synthetic::default() }, 3);
+    let link = Rate::from_kbps(30);
+    let queue = QueueLimit { bytes: 60_000, ..QueueLimit::default() };
+    let path = PathConfig { capacity: Capacity::Constant(link), queue, ..PathConfig::default() };
+    let report = with(&graph, &after_a_second(path, 1), DeadlineUtilityConfig::default());
+    let settled = || report.samples.iter().filter(|row| row.time_ns >= Nanos::from_s(8));
+    let most = settled().map(|row| row.in_flight_bytes).max().unwrap();
+    let used = report.boxes[0].counts.delivered.bytes as f64 / link.bytes_in(report.duration_ns).0 as f64;
+    assert!(settled().count() > 50 && most < 4 * 1200 && used > 0.9, "{most}, {used}");
+}
+
 /// Twice what the link carries, 100 ms of round trip, room for half a second: full, and hardly a queue.
 #[test]
 fn a_path_that_loses_nothing_is_filled_with_a_short_queue() {

@@ -17,7 +17,7 @@ use render_host::Settings;
 
 use self::{
     contexts::{SpanCells, spans},
-    references::random,
+    references::{Quantity, random},
     versions::Clusters,
 };
 use crate::stream::PacketMap;
@@ -36,7 +36,7 @@ pub use audit::LevelAudit;
 pub use error::UtilityError;
 pub use gain::gain_cameras;
 pub use references::{ReferencePhotograph, ReferencePhotographs, References, SourceRenders};
-pub use truncation::{Truncated, group_bytes, tops, truncate, truncation_cameras};
+pub use truncation::{Truncated, truncate, truncation_cameras};
 
 /// How to measure.
 #[derive(Clone, Debug)]
@@ -221,15 +221,6 @@ pub fn measure(
     })
 }
 
-/// What a view of a span is rendered for.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Quantity {
-    /// Mean, tail and deviation: in every context.
-    Utility,
-    /// The gain: in the complete state.
-    Gain,
-}
-
 /// A view of a span.
 #[derive(Clone, Copy)]
 struct Job<'a> {
@@ -276,7 +267,8 @@ fn deltas_in_view(
     options: &UtilityOptions,
 ) -> Result<Vec<Delta>, UtilityError> {
     let options = &options.of_quantity(quantity);
-    let (epoch, view) = references.view(content, span.span, quantity, view, options)?;
+    let (epoch, view) =
+        references.view(content, span.span, quantity, view, options.seed, &options.settings)?;
     let mut clusters = Clusters::new(content, epoch, view.frame);
     let (mut waiting, mut out) = (Vec::new(), Vec::new());
     // Contexts whose clusters show versions of their own go to the engine one at a time: together, each would

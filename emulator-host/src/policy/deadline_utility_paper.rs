@@ -5,9 +5,9 @@
 //!   trip less the way back, plus what of C(g) is not yet sent at the path's rate; its spread is the round
 //!   trip's deviation plus half of that sending time. The result is multiplied by the chance that no packet
 //!   of it is lost, counting the retransmissions that a base packet has.
-//! - Ũ_g: the group's risk-adjusted utility per frame times the frames on which it shows; with P_g the mean over those
-//!   frames, the product is what the group is expected to add to all frames together. Groups with none, or
-//!   less, are never targets.
+//! - Ũ_g: the group's risk-adjusted utility per frame times the frames on which it shows; with P_g the mean
+//!   over those frames, the product is what the group is expected to add to all frames together. Groups with
+//!   none, or less, are never targets.
 //! - U_g = ½ (1 + f), with f the share of g's own bytes that is under way or there: it rises as g nears
 //!   completion.
 //!

@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use render_host::{Renderer, Settings, Splats, metric};
 
 use super::{
-    Delta, Quantity, References, UtilityError, UtilityOptions,
+    Delta, References, UtilityError, UtilityOptions,
     contexts::{SpanCells, spans},
-    references::View,
+    references::{Quantity, View},
     state_of, versions,
 };
 use crate::stream::{PacketMap, Player};
@@ -52,7 +52,8 @@ pub(super) fn deltas_in_view(
     options: &UtilityOptions,
     every: usize,
 ) -> Result<Vec<Delta>, UtilityError> {
-    let (_, view) = references.view(content, span.span, Quantity::Utility, view, options)?;
+    let (_, view) =
+        references.view(content, span.span, Quantity::Utility, view, options.seed, &options.settings)?;
     let cells: Vec<(usize, &[usize])> = span.groups(map).step_by(every.max(1)).collect();
     let mut out = Vec::new();
     for context in 0..options.states() {

@@ -11,7 +11,7 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use render_host::{Camera, Image, Renderer, Settings, Splats};
 
-use super::{Quantity, UtilityOptions, error::UtilityError};
+use super::error::UtilityError;
 use crate::{scene::Scene, train::Views};
 
 /// What states are compared with.
@@ -56,7 +56,16 @@ pub struct ReferencePhotograph {
     pub image: Image,
 }
 
-/// A camera and frame in which the contexts of a span are rendered.
+/// What a view of a span is rendered for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Quantity {
+    /// Mean, tail and deviation: in every context.
+    Utility,
+    /// The gain: in the complete state.
+    Gain,
+}
+
+/// A camera and frame in which a span is rendered.
 #[derive(Debug)]
 pub(super) struct View {
     pub(super) frame: u32,
@@ -173,9 +182,9 @@ impl References<'_> {
         span: Span,
         quantity: Quantity,
         index: usize,
-        options: &UtilityOptions,
+        seed: u64,
+        settings: &Settings,
     ) -> Result<(EpochId, View), UtilityError> {
-        let seed = options.seed;
         let (epoch, frames) = frames_of(content, span)?;
         let view = match self {
             Self::Renders(renders) => {
@@ -183,7 +192,7 @@ impl References<'_> {
                 let frame = frames.start + random(span, index as u32, 0, seed).random_range(0..count);
                 let cameras = renders.cameras_of(quantity);
                 let camera = &cameras[index % cameras.len()];
-                let reference = renders.render(frame, camera, &options.settings)?;
+                let reference = renders.render(frame, camera, settings)?;
                 View { frame, camera: camera.clone(), reference }
             }
             Self::Photographs(photographs) => {

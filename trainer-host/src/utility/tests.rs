@@ -143,7 +143,8 @@ fn utilities_against_photographs_are_those_against_the_renders_that_they_show() 
     // Frames shown are those that the photographs were taken of: a reference is its render, but for 8 bits.
     let span = Span::Motion(codec_core::internals::ids::WindowId(0));
     for index in 0..2 {
-        let (_, view) = references.view(&content, span, Quantity::Utility, index, &options).unwrap();
+        let (_, view) =
+            references.view(&content, span, Quantity::Utility, index, 1, &options.settings).unwrap();
         let source = scene.instant(view.frame as usize).unwrap();
         let splats = Splats::new(&source.gaussians, &source.sh_rest, source.sh_degree).unwrap();
         let large = view.camera.resized(96, 72).unwrap();

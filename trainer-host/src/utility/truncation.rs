@@ -33,7 +33,7 @@ pub fn truncation_cameras(scene: &Scene) -> Result<Vec<Camera>, CameraError> {
 }
 
 /// Bytes that each group of [`PacketMap::groups`] takes: of each packet in proportion to symbols.
-pub fn group_bytes(stream: &Stream, map: &PacketMap) -> Vec<f64> {
+pub(super) fn group_bytes(stream: &Stream, map: &PacketMap) -> Vec<f64> {
     let index: std::collections::BTreeMap<_, usize> =
         map.groups().iter().enumerate().map(|(i, (group, _))| (*group, i)).collect();
     let mut bytes = vec![0.0; map.groups().len()];
@@ -55,7 +55,7 @@ const NO_GAIN: f64 = 1e-12;
 /// The highest level of each cell that pays for its bytes at `lambda`: where the sum over the levels
 /// of gain − λ · bytes is largest, the lowest of equals. Gain is the mean of Δ in `table`, averaged
 /// over all frames of the clip; λ is gain per byte. Base levels are always sent.
-pub fn tops(content: &Content<'_>, map: &PacketMap, table: &Table, bytes: &[f64], lambda: f64) -> Vec<Level> {
+fn tops(content: &Content<'_>, map: &PacketMap, table: &Table, bytes: &[f64], lambda: f64) -> Vec<Level> {
     let manifest = content.manifest;
     let all = f64::from(manifest.head().frames.max(1));
     let mut tops = vec![Level::BASE; manifest.cells()];

@@ -99,8 +99,8 @@ fn clip(graph: &PacketGraph) -> Nanos {
 /// Shortest and longest wait before playout, seconds: the longest is what players wait by default.
 const WAIT_S: [f64; 2] = [1.0, 5.0];
 
-/// Rate at which `graph` is [`LOAD`] times what is carried until its clip is over: in the wait before playout,
-/// and while it plays.
+/// Rate at which `graph` is [`LOAD`] times what is carried until its clip is over: in the wait before
+/// playout, and while it plays.
 fn wanted(graph: &PacketGraph) -> Rate {
     let (fits, clip) = (graph.total_bytes() as f64 / LOAD, clip(graph).as_s());
     let [shortest, longest] = WAIT_S.map(|wait| fits / (clip + wait));

@@ -1,4 +1,4 @@
-//! Compares orders of packets by what their beginnings show: by gain, and by the paper's risk-adjusted utility.
+//! Compares orders of packets by what their beginnings show: by gain, and by the paper's utility.
 
 use anyhow::Result;
 use dgs::pipeline;
