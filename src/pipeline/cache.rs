@@ -91,14 +91,30 @@ pub fn utility_path(stream: &Path) -> PathBuf {
 /// No file, or one that holds something else.
 pub(crate) fn stored_utilities(path: &Path, manifest: &[u8]) -> Result<utility::Table> {
     let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
-    let stored: StoredUtilities = serde_json::from_slice(&bytes)
-        .with_context(|| format!("{}: not the utilities of a stream", path.display()))?;
+    let stored = parsed(&bytes).map_err(|why| anyhow::anyhow!("{}: {why}", path.display()))?;
     anyhow::ensure!(
         stored.table.manifest_crc == crc32(manifest),
         "{}: utilities of another stream",
         path.display()
     );
     Ok(stored.table)
+}
+
+/// What is stored in `bytes`, or why it is of no use.
+fn parsed(bytes: &[u8]) -> Result<StoredUtilities, String> {
+    /// What every version has.
+    #[derive(Deserialize)]
+    struct Head {
+        measured: BTreeMap<String, Value>,
+    }
+    let strange = |error: serde_json::Error| format!("not the utilities of a stream ({error})");
+    let head: Head = serde_json::from_slice(bytes).map_err(strange)?;
+    match head.measured.get("version") {
+        Some(version) if *version != VERSION => {
+            Err(format!("utilities of version {version}, where version {VERSION} is needed"))
+        }
+        _ => serde_json::from_slice(bytes).map_err(strange),
+    }
 }
 
 /// The utilities beside the file of `stream`, if they are of it; `warn` hears why there are none.
@@ -181,8 +197,7 @@ fn accepted(
     wanted: &BTreeMap<String, Value>,
     map: &PacketMap,
 ) -> Result<utility::Table, String> {
-    let stored: StoredUtilities =
-        serde_json::from_slice(bytes).map_err(|e| format!("not stored utilities ({e})"))?;
+    let stored = parsed(bytes)?;
     for (name, value) in wanted {
         match stored.measured.get(name) {
             Some(found) if found == value => {}
@@ -284,7 +299,7 @@ mod tests {
         assert!(measure(&scene, 1.0, &more).1.contains("measured with other cameras"));
         assert!(measure(&other, 1.0, &more).1.contains("measured with other scene"));
         std::fs::write(&cache, b"{}").unwrap();
-        assert!(measure(&scene, 0.0, &plain()).1.contains("not stored utilities"));
+        assert!(measure(&scene, 0.0, &plain()).1.contains("not the utilities of a stream"));
         let (again, warnings) = measure(&scene, 0.0, &plain());
         assert!(same(&again, &first) && warnings.is_empty(), "it was replaced: {warnings}");
 
@@ -292,5 +307,14 @@ mod tests {
         assert!(stored_utilities(&cache, manifest.raw()).is_ok());
         let error = stored_utilities(&cache, b"another").unwrap_err().to_string();
         assert!(error.contains("of another stream"), "{error}");
+
+        // A file of an earlier version lacks what has come since; its version is what is said.
+        let mut earlier: Value = serde_json::from_slice(&std::fs::read(&cache).unwrap()).unwrap();
+        earlier["measured"]["version"] = json!(3);
+        let group = earlier["table"]["groups"][0].as_object_mut().unwrap();
+        assert!(group.remove("gain").is_some());
+        std::fs::write(&cache, earlier.to_string()).unwrap();
+        let error = stored_utilities(&cache, manifest.raw()).unwrap_err().to_string();
+        assert!(error.contains("version 3, where version 4"), "{error}");
     }
 }
