@@ -29,8 +29,9 @@ pub fn gain_cameras(scene: &Scene) -> Result<Vec<Camera>, CameraError> {
 
 impl Table {
     /// What each group of `stream`, whose map is `map`, is expected to add to a frame in which it shows: at
-    /// least 0, and 0 only where no group of its kind (level; window or epoch) gains anything. Measured
-    /// gains, where they are positive, drawn by 2 % towards what the kind gains per byte.
+    /// least 0, and 0 only where no group of its kind (level; window or epoch) that the stream has gains
+    /// anything. Measured gains, where they are positive, drawn by 2 % towards what the kind gains per byte.
+    /// In the unit of D, in the order of [`PacketMap::groups`].
     pub fn expected_gains(&self, stream: &Stream, map: &PacketMap) -> Vec<f64> {
         let bytes = group_bytes(stream, map);
         let kinds = map.groups().iter().map(|(group, _)| {
@@ -38,7 +39,8 @@ impl Table {
         });
         let mut sums = [(0.0, 0.0); 8];
         let groups = || self.groups.iter().zip(&bytes).zip(kinds.clone());
-        for ((group, bytes), kind) in groups() {
+        // Of a stream that was cut, what is not there tells nothing of the bytes that are.
+        for ((group, bytes), kind) in groups().filter(|((_, bytes), _)| **bytes > 0.0) {
             sums[kind].0 += group.gain.max(0.0);
             sums[kind].1 += bytes;
         }

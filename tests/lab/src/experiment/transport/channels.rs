@@ -28,6 +28,8 @@ const FILES: [(&str, &str); 12] = [
 ];
 /// Stream bytes over what the link carries until the clip is over.
 pub(super) const LOAD: f64 = 1.6;
+/// Shortest and longest wait before playout, seconds: the longest is what players wait by default.
+const WAIT_S: [f64; 2] = [1.0, 5.0];
 /// A window whose bound is lower says nothing of schedulers: its link is dead.
 pub(super) const LEAST_BOUND: f64 = 0.05;
 
@@ -96,17 +98,15 @@ fn clip(graph: &PacketGraph) -> Nanos {
     graph.frame_interval().times(u64::from(graph.frames()))
 }
 
-/// Shortest and longest wait before playout, seconds: the longest is what players wait by default.
-const WAIT_S: [f64; 2] = [1.0, 5.0];
-
 /// Rate at which `graph` is [`LOAD`] times what is carried until its clip is over: in the wait before
 /// playout, and while it plays.
 fn wanted(graph: &PacketGraph) -> Rate {
     let (fits, clip) = (graph.total_bytes() as f64 / LOAD, clip(graph).as_s());
-    let [shortest, longest] = WAIT_S.map(|wait| fits / (clip + wait));
-    // Where the opening takes longer than the shortest wait, it takes what it takes.
-    let opening = (fits - opening_bytes(graph)) / clip;
-    Rate((8.0 * opening.clamp(longest, shortest)) as u64)
+    // A short wait has to carry more a second.
+    let [highest, lowest] = WAIT_S.map(|wait| fits / (clip + wait));
+    // The wait that just carries the opening leaves the rest to the clip.
+    let after_the_opening = (fits - opening_bytes(graph)) / clip;
+    Rate((8.0 * after_the_opening.clamp(lowest, highest)) as u64)
 }
 
 /// When playout starts, for everyone: when the mean rate has carried the opening, within the bounds of waits.
