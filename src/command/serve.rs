@@ -130,7 +130,8 @@ fn offers(args: &Serve, quiet: Quiet, warnings: &mut Vec<String>) -> Result<Vec<
             offers.push(live(quiet)?);
             continue;
         }
-        let ready = pipeline::sendable(input, &args.scene, &args.codec, quiet, &mut |w| warnings.push(w))?;
+        let warn = &mut |warning| warnings.push(warning);
+        let ready = pipeline::sendable(input, &args.scene, &args.codec, args.policy, quiet, warn)?;
         offers.push(Offer::new(&name(input), &ready.stream, ready.graph)?);
     }
     Ok(offers)

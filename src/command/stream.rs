@@ -27,8 +27,9 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         bail!("--no-pose is for a viewer; --eye, --turntable or --cameras gives one");
     }
     let mut warnings = Vec::new();
+    let warn = &mut |warning| warnings.push(warning);
     let Sendable { stream, map, graph, damaged } =
-        pipeline::sendable(&args.input, &args.scene, &args.codec, quiet, &mut |w| warnings.push(w))?;
+        pipeline::sendable(&args.input, &args.scene, &args.codec, args.policy, quiet, warn)?;
     if graph.packets().is_empty() {
         bail!("{}: nothing of this stream can be sent", args.input);
     }

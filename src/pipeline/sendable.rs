@@ -16,7 +16,7 @@ use super::{
     Quiet,
     cache::{utilities, utilities_beside},
 };
-use crate::args::{CodecArgs, SceneArgs};
+use crate::args::{CodecArgs, PolicyName, SceneArgs};
 
 /// A stream that can be sent.
 #[derive(Debug)]
@@ -31,7 +31,9 @@ pub struct Sendable {
     pub damaged: bool,
 }
 
-/// Reads the stream `input` with the utilities beside it, or encodes the scene `input` and measures them.
+/// Reads the stream `input` with the utilities beside it, or encodes the scene `input` and measures what
+/// `policy` goes by: gains, which take one state, and for the paper's scheduler its risk-adjusted utilities
+/// besides, which take 32.
 ///
 /// # Errors
 /// What cannot be read, encoded or sent.
@@ -39,6 +41,7 @@ pub fn sendable(
     input: &str,
     scene: &SceneArgs,
     codec: &CodecArgs,
+    policy: PolicyName,
     quiet: Quiet,
     warn: &mut dyn FnMut(String),
 ) -> Result<Sendable> {
@@ -61,8 +64,10 @@ pub fn sendable(
         let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
         let cameras = Framing::of(&loaded.scene).ring(Ring::Measuring, 3, (128, 128))?;
         let gain_cameras = gain_cameras(&loaded.scene)?;
-        let references = References::renders(&loaded.scene, &cameras, &gain_cameras);
-        let how = UtilityOptions::paper();
+        let complete = policy != PolicyName::DeadlineUtilityPaper;
+        let how = UtilityOptions { complete, ..UtilityOptions::paper() };
+        let state_cameras = if complete { &gain_cameras } else { &cameras };
+        let references = References::renders(&loaded.scene, state_cameras, &gain_cameras);
         let table = utilities(&references, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
         (stream, Some(table))
     };

@@ -99,6 +99,8 @@ fn one_table_on_any_number_of_threads_and_another_for_other_contexts() {
     }
     assert!(table.groups.iter().any(|group| (group.gain - group.mean).abs() > 1e-6), "gain is not the mean");
     assert!(measure(&complete).groups.iter().all(|group| group.gain == group.mean));
+    let gains = |table: &Table| table.groups.iter().map(|group| group.gain.to_bits()).collect::<Vec<_>>();
+    assert_eq!(gains(&measure(&complete)), gains(&table), "alone, and beside states");
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     assert_eq!(pool.install(|| measure(&options)), table);
     let other = measure(&UtilityOptions { seed: 2, ..options.clone() });
