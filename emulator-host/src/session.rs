@@ -132,7 +132,7 @@ impl Default for SessionConfig {
             reverse: up,
             access_rate: None,
             handshake_rtt: None,
-            lookahead: Nanos::from_s(2),
+            lookahead: Nanos::from_s(4),
             startup: Startup { rule: StartupRule::BaseGroups(0.95), max_wait: Nanos::from_s(5) },
             retransmissions: 2,
             retransmit_levels: 1,

@@ -218,7 +218,8 @@ impl Scheduler for Noted {
     }
 }
 
-/// Nothing in the code asks whether the table is flat: frames per byte make levels come in order.
+/// Nothing in the code asks whether the table is flat: frames per byte make the levels of a window come in
+/// order, and what waiting costs the windows.
 #[test]
 fn a_flat_table_gives_the_conventional_order() {
     let spec = Synthetic { utilities: Utilities::Flat, rate: Rate::from_kbps(400), ..Synthetic::default() };
@@ -238,19 +239,30 @@ fn a_flat_table_gives_the_conventional_order() {
         let group = &graph.groups()[graph.packets()[packet.at()].groups[0].at()];
         (!group.is_canonical()).then_some((group.level(), group.first_frame))
     };
-    let keys: Vec<(u8, u32)> = order(0.5, &graph).iter().filter_map(|p| of_motion(&graph, p)).collect();
-    let near: Vec<(u8, u32)> = keys.iter().copied().filter(|key| key.1 < 60).collect();
-    let inversions = near.windows(2).filter(|pair| pair[0].0 > pair[1].0).count();
-    // Sizes vary by half to either side: the largest of a level may follow the smallest of the next.
-    assert!(near.len() > 20 && inversions * 20 < near.len(), "{inversions} of {}: {near:?}", near.len());
+    // Of one window, neighbours whose levels fall; of how many.
+    let inversions = |graph: &PacketGraph, chosen: &[PacketIndex], first: u32| {
+        let keys = chosen.iter().filter_map(|packet| of_motion(graph, packet));
+        let levels: Vec<u8> = keys.filter(|key| key.1 == first).map(|key| key.0).collect();
+        (levels.windows(2).filter(|pair| pair[0] > pair[1]).count(), levels.len())
+    };
+    let flat = order(0.5, &graph);
+    for first in [0, 30] {
+        let (inverted, of) = inversions(&graph, &flat, first);
+        // Sizes vary by half to either side: the largest of a level may follow the smallest of the next.
+        assert!(of > 20 && inverted * 20 < of, "window of frame {first}: {inverted} of {of}");
+    }
+    // The first window is on its way before most of the second.
+    let place = |first: u32| {
+        let motion: Vec<u32> = flat.iter().filter_map(|p| of_motion(&graph, p)).map(|key| key.1).collect();
+        let places: Vec<usize> = (0..motion.len()).filter(|at| motion[*at] == first).collect();
+        places.iter().sum::<usize>() / places.len()
+    };
+    assert!(place(0) < place(30) && place(30) < place(60), "{} {} {}", place(0), place(30), place(60));
     // The same with a table that says something: levels no longer come in order.
     let unequal = Synthetic { utilities: Utilities::Unequal, ..spec };
     let unequal = Synthetic { frames: 90, clusters: 6, canonical_percent: 0, ..unequal }.build(2).unwrap();
-    let chosen = order(0.0, &unequal);
-    let keys = chosen.iter().filter_map(|packet| of_motion(&unequal, packet)).filter(|key| key.1 < 60);
-    let levels: Vec<u8> = keys.map(|key| key.0).collect();
-    let inversions = levels.windows(2).filter(|pair| pair[0] > pair[1]).count();
-    assert!(inversions * 20 > levels.len(), "{inversions} of {}", levels.len());
+    let (inverted, of) = inversions(&unequal, &order(0.0, &unequal), 0);
+    assert!(inverted * 20 > of, "{inverted} of {of}");
 }
 
 /// With little loss and a short way, repetition is cheaper than parity; over a long way to a near deadline it

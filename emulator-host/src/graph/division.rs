@@ -11,7 +11,16 @@ use super::{
 impl PacketGraph {
     /// The pieces of the graph, shared by all runs of it.
     pub(crate) fn division(&self) -> Arc<Division> {
-        Arc::clone(self.division.get_or_init(|| Arc::new(Division::new(self))))
+        Arc::clone(self.divided())
+    }
+
+    /// First frames of groups, each once, ascending: where motion windows and epochs begin.
+    pub(crate) fn starts(&self) -> &[u32] {
+        &self.divided().starts
+    }
+
+    fn divided(&self) -> &Arc<Division> {
+        self.division.get_or_init(|| Arc::new(Division::new(self)))
     }
 }
 
@@ -22,7 +31,10 @@ impl Division {
         let mut by_time: Vec<u32> =
             (0..pieces.len() as u32).filter(|place| needed(place) < graph.frames()).collect();
         by_time.sort_by_key(|place| (needed(place), *place));
-        Self { sums: FrameSums::new(graph), by_time, pieces }
+        let mut starts: Vec<u32> = graph.groups().iter().map(|group| group.first_frame).collect();
+        starts.sort_unstable();
+        starts.dedup();
+        Self { sums: FrameSums::new(graph), by_time, starts, pieces }
     }
 }
 

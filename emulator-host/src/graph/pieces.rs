@@ -40,6 +40,8 @@ pub(crate) struct Division {
     pub sums: FrameSums,
     /// Places in [`Pieces::order`] by the frame from which they are needed; those of no use are left out.
     pub by_time: Vec<u32>,
+    /// First frames of groups, each once, ascending.
+    pub starts: Vec<u32>,
 }
 
 /// The pieces of a graph.

@@ -9,7 +9,10 @@
 //! - *own queue*: media stays out while what is in flight already fills the path; bytes once sent cannot be
 //!   decided again;
 //! - *lost compete*: a lost packet waits again and is worth the whole rest of its group;
-//! - *credit*, *arrival from queue*, *base weight*, *delay weight*: how a piece is scored;
+//! - *delay weight*: what waiting until the next motion window is half over would cost goes first, by cost
+//!   per byte; what would cost nothing waits, however much it adds. So the time before playout carries what
+//!   frame 0 needs, and windows leave when the one before them plays;
+//! - *credit*, *arrival from queue*, *base weight*: how else a piece is scored;
 //! - *opening*: before playout, what the startup rule counts, by count per byte;
 //! - *parity competes*: parity is one more candidate, worth what repetition would come too late for;
 //! - *viewport*: what is out of the viewer's sight, or far away, waits (the viewport's text has the formula).
@@ -17,8 +20,8 @@
 //! The forecast orders and never refuses: its error has a heavy tail, so everything that can still be shown
 //! keeps some value, and a policy that is wrong about the path goes on to learn.
 //!
-//! With a flat table the score is frames per byte, so that levels come in order and, within a level, windows:
-//! the conventional schedule.
+//! With a flat table the score is frames per byte and their urgency: windows come in order and, within a
+//! window, levels, which is the conventional schedule.
 
 mod config;
 mod opening;

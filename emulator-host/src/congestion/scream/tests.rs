@@ -122,6 +122,7 @@ fn delivered(mbps: u64, controller: ControllerKind, forward: PathConfig) -> Repo
         controller,
         forward,
         reverse: PathConfig { delay: Nanos::from_ms(50), ..PathConfig::default() },
+        lookahead: Nanos::from_s(2),
         ..SessionConfig::default()
     };
     simulate(&spec.build(1).unwrap(), &config).unwrap()

@@ -19,11 +19,11 @@ pub struct DeadlineUtilityConfig {
     /// What all level-0 groups of a frame count together, beside all utility of the frame, which counts 1: a
     /// picture with holes looks worse than its utility says.
     pub base_weight: f64,
-    /// How much a byte that could as well be sent later gives way to one that could not: weight of the loss
-    /// by a delay of [`Self::delay`].
+    /// How much a byte that could as well be sent later gives way to one that could not: weight of what is
+    /// lost by waiting until the next motion window is half over, beside what is gained at all.
     pub delay_weight: f64,
-    /// The delay that is meant.
-    pub delay: Nanos,
+    /// Seconds by which an arrival is less certain for every second that sending waits.
+    pub doubt: f64,
     /// Before playout, first what the startup rule counts, by count per byte.
     pub opening: bool,
     /// Parity is sent where it saves more than the same bytes of something else; otherwise always.
@@ -57,9 +57,9 @@ impl Default for DeadlineUtilityConfig {
             lost_compete: true,
             credit: true,
             arrival_from_queue: true,
-            base_weight: 0.5,
-            delay_weight: 10.0,
-            delay: Nanos::from_s(1),
+            base_weight: 0.3,
+            delay_weight: 300.0,
+            doubt: 0.03,
             opening: true,
             parity_competes: true,
             viewport: Some(ViewportConfig::default()),

@@ -3,7 +3,10 @@
 use super::config::DeadlineUtilityConfig;
 use crate::{
     clock::Nanos,
-    graph::pieces::{Addition, FrameSums},
+    graph::{
+        PacketGraph,
+        pieces::{Addition, FrameSums},
+    },
     policy::{SenderView, probability::mean_arrival},
 };
 
@@ -25,8 +28,13 @@ pub(super) struct Outlook {
     pub loss: f64,
     base_weight: f64,
     delay_weight: f64,
-    delay_s: f64,
+    doubt: f64,
+    /// Seconds until the next window is half over; `None` if none begins before the horizon.
+    wait_s: Option<f64>,
 }
+
+/// Shortest stretch of time between two windows that are told apart, seconds.
+const LEAST_STRETCH: f64 = 0.5;
 
 /// Bytes that the path spends on a datagram beside the packet.
 pub(super) const OVERHEAD_BYTES: u32 = 58;
@@ -47,7 +55,7 @@ impl Outlook {
         let interval = view.graph.frame_interval();
         let played = now - view.playout_start;
         let next = if now < view.playout_start { 0 } else { played.0 / interval.0 + 1 };
-        Self {
+        let outlook = Self {
             first_byte_s,
             per_byte_s: 8.0 / (view.rate.0 as f64).max(1.0),
             spread_s: view.rtt_variation.as_s() + 0.25 * queue_s,
@@ -57,15 +65,41 @@ impl Outlook {
             loss: view.loss,
             base_weight: config.base_weight,
             delay_weight: config.delay_weight,
-            delay_s: config.delay.as_s(),
+            doubt: config.doubt,
+            wait_s: None,
+        };
+        Self { wait_s: outlook.wait(view.graph, view.horizon_frame), ..outlook }
+    }
+
+    /// Seconds until a packet that is sent then arrives in the middle of the next window before `horizon`.
+    ///
+    /// What begins with that window can be sent until then without loss, at the very least: what is lost by
+    /// waiting for so long tells what must go first. Before playout the next window is that of frame 0, and
+    /// all later ones can wait.
+    fn wait(&self, graph: &PacketGraph, horizon: u32) -> Option<f64> {
+        let sent_for = |frame: u32| self.shown_in(frame) - self.first_byte_s;
+        let starts = graph.starts();
+        let near = starts.partition_point(|start| *start < self.next_frame);
+        let mut ahead = starts[near..].iter().map(|start| sent_for(*start)).filter(|sent| *sent > 0.0);
+        let begin = ahead.next()?;
+        let last = sent_for(horizon.min(graph.frames()));
+        if begin >= last {
+            return None;
         }
+        let end = ahead.find(|end| *end >= begin + LEAST_STRETCH).map_or(last, |end| end.min(last));
+        Some(0.5 * (begin + end.max(begin)))
     }
 
     /// What `parts` are expected to add if `bytes` of theirs are sent from now on, losses aside; and,
-    /// weighted, how much less it is after a delay.
+    /// weighted, how much less it is once the next window is half over. Without one, no waiting pays.
     pub(super) fn value(&self, parts: &[Addition], sums: &FrameSums, bytes: u32) -> f64 {
-        let (soon, late) = self.soon_and_late(parts, sums, bytes, self.delay_s);
-        soon + self.delay_weight * (soon - late)
+        match self.wait_s {
+            Some(wait) => {
+                let (soon, late) = self.soon_and_late(parts, sums, bytes, wait);
+                soon + self.delay_weight * (soon - late)
+            }
+            None => self.urgent(self.soon_and_late(parts, sums, bytes, 0.0).0),
+        }
     }
 
     /// The score of a value that any delay would cost.
@@ -84,6 +118,7 @@ impl Outlook {
         let sending = f64::from(bytes) * self.per_byte_s;
         let expected = self.first_byte_s + sending;
         let spread = self.spread_s + 0.5 * sending;
+        let late_spread = spread + self.doubt * delay_s;
         let (mut soon, mut late) = (0.0, 0.0);
         for part in parts {
             let (utility, base) = sums.gain(part, self.next_frame);
@@ -92,7 +127,7 @@ impl Outlook {
                 let first = self.shown_in(part.first.max(self.next_frame)) - expected;
                 let last = self.shown_in(part.last) - expected;
                 soon += gain * mean_arrival(first, last, 0.0, spread);
-                late += gain * mean_arrival(first, last, delay_s, spread);
+                late += gain * mean_arrival(first, last, delay_s, late_spread);
             }
         }
         (soon, late)
@@ -123,5 +158,81 @@ impl Outlook {
     /// First frame that is still to come.
     pub(super) fn next_frame(&self) -> u32 {
         self.next_frame
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        clock::Rate,
+        graph::{GroupIndex, Synthetic, pieces::Division},
+        policy::PacketStatus,
+        startup::StartupRule,
+    };
+
+    /// Windows of a second, of which frame 0 is shown at `start_ms`, over 1 Mbit/s and 20 ms one way.
+    fn at(graph: &PacketGraph, start_ms: u64, horizon_frame: u32, now_ms: u64) -> Outlook {
+        let count = graph.packets().len();
+        let (status, sent_at) = (vec![PacketStatus::Waiting; count], vec![Nanos::ZERO; count]);
+        let view = SenderView {
+            graph,
+            status: &status,
+            sent_at: &sent_at,
+            playout_start: Nanos::from_ms(start_ms),
+            playing: now_ms >= start_ms,
+            horizon_frame,
+            rate: Rate::from_mbps(1),
+            smoothed_rtt: Nanos::from_ms(40),
+            rtt_variation: Nanos::from_ms(2),
+            minimum_rtt: Nanos::from_ms(40),
+            in_flight: 0,
+            loss: 0.0,
+            startup: StartupRule::AfterWait,
+            retransmissions: 2,
+            viewpoint: None,
+        };
+        Outlook::new(&view, &DeadlineUtilityConfig::default(), Nanos::from_ms(now_ms))
+    }
+
+    fn clip() -> PacketGraph {
+        Synthetic { frames: 120, window_frames: 30, ..Synthetic::default() }.build(1).unwrap()
+    }
+
+    #[test]
+    fn waiting_ends_in_the_middle_of_the_next_window_before_the_horizon() {
+        let graph = clip();
+        assert_eq!(graph.starts(), [0, 30, 60, 90]);
+        let wait = |start_ms, horizon, now_ms| at(&graph, start_ms, horizon, now_ms).wait_s;
+        let close = |found: Option<f64>, wanted: f64| (found.unwrap() - wanted).abs() < 2e-3;
+        // Frame 0 in 2 s: what is sent in 1.98 s is there; window 0 is half over half a second later.
+        assert!(close(wait(2000, 120, 0), 2.48));
+        // Playing at frame 10: the next window begins in 20 frames.
+        assert!(close(wait(0, 120, 333), 0.667 - 0.02 + 0.5));
+        // Of the next window the horizon holds 10 frames only.
+        assert!(close(wait(0, 40, 333), 0.667 - 0.02 + 0.167));
+        assert_eq!(wait(0, 30, 333), None);
+        assert_eq!(wait(0, 120, 3500), None);
+    }
+
+    /// Before playout a second's window loses half by waiting until then, and all later ones next to nothing;
+    /// with no window to come, waiting would lose all.
+    #[test]
+    fn what_begins_later_scores_little_until_waiting_would_cost_it() {
+        let graph = clip();
+        let division: &Division = &graph.division();
+        let part = |first, last| Addition { group: GroupIndex(0), first, last, utility: 1.0, base: 0.0 };
+        let score = |start_ms, now_ms, first, last| {
+            let outlook = at(&graph, start_ms, 120, now_ms);
+            outlook.value(&[part(first, last)], &division.sums, 1000)
+        };
+        let [near, far] = [score(2000, 0, 0, 29), score(2000, 0, 30, 59)];
+        assert!(near > 4.0 * far && far > 0.0, "{near} {far}");
+        // A second later in the clip the same window is the near one.
+        assert!(score(0, 500, 30, 59) > 4.0 * score(0, 500, 60, 89));
+        // The last window plays: whatever is left of it is worth the same wherever it begins.
+        let urgent = at(&graph, 0, 120, 3500).urgent(1.0);
+        let left = at(&graph, 0, 120, 3500).soon_and_late(&[part(90, 119)], &division.sums, 1000, 0.0).0;
+        assert!((score(0, 3500, 90, 119) / left / urgent - 1.0).abs() < 1e-9);
     }
 }

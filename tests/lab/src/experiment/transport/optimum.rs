@@ -92,8 +92,8 @@ pub(super) fn protocol(setup: &Setup) -> String {
          the mean rate has carried manifest and first base with \
          a fifth to spare), dead windows left out; bound: linear \
          programme over the same link, {steps} steps; share: of the distance from layered to the bound, \
-         ratio of means; intervals by trace, then window; settings were chosen on other windows of nine of \
-         these traces"
+         ratio of means; intervals by trace, then window; settings were chosen over windows that begin \
+         between these, with other losses"
     )
 }
 
