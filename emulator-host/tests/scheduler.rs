@@ -191,6 +191,29 @@ fn a_path_that_loses_nothing_is_filled_with_a_short_queue() {
     }
 }
 
+/// A link that carries nothing for five seconds and then all that is asked: what is acknowledged first has
+/// waited for so long, which says nothing of the way.
+#[test]
+fn a_link_that_was_dead_when_the_session_began_is_used_once_it_wakes() {
+    let spec = Synthetic { frames: 100, rate: Rate::from_kbps(300), clusters: 8, ..Synthetic::default() };
+    let graph = spec.build(3).unwrap();
+    let steps = vec![
+        Step { at: Nanos::ZERO, rate: Rate(0) },
+        Step { at: Nanos::from_s(5), rate: Rate::from_kbps(500) },
+    ];
+    let trace = Trace::steps("wakes", steps, Nanos::from_s(60)).unwrap();
+    let path = PathConfig { capacity: Capacity::Trace(trace), ..PathConfig::default() };
+    for controller in [ControllerKind::NewReno, ControllerKind::Cubic, ControllerKind::Scream] {
+        let startup = Startup { rule: StartupRule::AfterWait, max_wait: Nanos::from_s(3) };
+        let config = SessionConfig { controller, startup, ..after_a_second(path.clone(), 1) };
+        let report = with(&graph, &config, DeadlineUtilityConfig::default());
+        // The clip ends 1.3 s after the link has come back, less than half of what the first had waited.
+        let end = &report.frames[90..];
+        let shown = end.iter().map(|row| row.utility).sum::<f64>() / end.len() as f64;
+        assert!(shown > 0.9, "{controller:?}: {shown}");
+    }
+}
+
 /// Delegates, and notes what is chosen.
 struct Noted {
     inner: DeadlineUtility,

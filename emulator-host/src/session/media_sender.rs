@@ -211,7 +211,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// Renews what the scheduler sees of path and playout; to be called after news of the path. Before
     /// playout has started, the sender expects it to start when the rest of the first base could be there.
     pub fn look(&mut self, path: PathFacts, now: Nanos) {
-        self.outlook.path = path;
+        self.outlook.path = path.plausible();
         self.outlook.loss = self.loss.share(now);
         self.outlook.playing = self.known_start.is_some();
         self.outlook.playout_start = self.known_start.unwrap_or_else(|| {
