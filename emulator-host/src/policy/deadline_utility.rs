@@ -18,12 +18,14 @@
 //! - *viewport*: what is out of the viewer's sight, or far away, waits (the viewport's text has the formula).
 //!
 //! The forecast orders and never refuses: its error has a heavy tail, so everything that can still be shown
-//! keeps some value, and a policy that is wrong about the path goes on to learn.
+//! keeps some value, and a policy that is wrong about the path goes on to learn. Only what is in flight holds
+//! back what would pass it too late for its last frame, and that drains.
 //!
 //! With a flat table the score is frames per byte and their urgency: windows come in order and, within a
 //! window, levels, which is the conventional schedule.
 
 mod config;
+mod in_flight;
 mod opening;
 mod outlook;
 mod plan;

@@ -33,8 +33,8 @@ pub(super) struct Outlook {
     wait_s: Option<f64>,
 }
 
-/// Shortest stretch of time between two windows that are told apart, seconds.
-const LEAST_STRETCH: f64 = 0.5;
+/// Shortest time between the beginnings of two windows that are told apart, seconds.
+const SHORTEST_S: f64 = 0.5;
 
 /// Bytes that the path spends on a datagram beside the packet.
 pub(super) const OVERHEAD_BYTES: u32 = 58;
@@ -86,7 +86,7 @@ impl Outlook {
         if begin >= last {
             return None;
         }
-        let end = ahead.find(|end| *end >= begin + LEAST_STRETCH).map_or(last, |end| end.min(last));
+        let end = ahead.find(|end| *end >= begin + SHORTEST_S).map_or(last, |end| end.min(last));
         Some(0.5 * (begin + end.max(begin)))
     }
 

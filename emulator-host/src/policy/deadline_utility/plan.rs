@@ -9,12 +9,13 @@ use std::{cmp::Ordering, collections::BinaryHeap, sync::Arc};
 
 use super::{
     config::DeadlineUtilityConfig,
+    in_flight::{arrives, survival},
     outlook::{OVERHEAD_BYTES, Outlook},
 };
 use crate::{
     clock::Nanos,
     graph::{PacketGraph, PacketIndex, pieces::Division},
-    policy::{PacketStatus, SenderView, probability::distribution},
+    policy::{PacketStatus, SenderView},
 };
 
 /// What is left of one piece.
@@ -300,10 +301,11 @@ impl Plan {
         let (at, first) = waiting.next()?;
         self.done = at;
         let mut candidates = std::iter::once(first).chain(waiting.map(|(_, packet)| packet));
-        let found = candidates.find(|packet| view.is_sendable(*packet, now));
+        let in_time = |packet: &PacketIndex| view.is_sendable(*packet, now) && arrives(view, *packet, now);
+        let found = candidates.find(in_time);
         debug_assert_eq!(
             found,
-            self.division.pieces.packets(piece).find(|packet| view.is_sendable(*packet, now)),
+            self.division.pieces.packets(piece).find(in_time),
             "a packet at the front of the target waits"
         );
         found
@@ -377,15 +379,6 @@ impl Plan {
         // Sent later, parity saves nothing any more: a delay costs all of it.
         outlook.urgent(saved) / f64::from(u32::from(facts.wire_bytes) + OVERHEAD_BYTES)
     }
-}
-
-/// Chance that a packet in flight arrives, given that no receipt has named it: a loss grows likely as its
-/// age passes what receipts take.
-fn survival(view: &SenderView<'_>, packet: PacketIndex, loss: f64, now: Nanos) -> f64 {
-    let age = (now - view.sent_at[packet.at()]).as_s();
-    let spread = view.rtt_variation.as_s().max(1e-3);
-    let silent = 1.0 - distribution((age - view.smoothed_rtt.as_s()) / spread);
-    1.0 - loss / (loss + (1.0 - loss) * silent.max(1e-9))
 }
 
 #[cfg(test)]
