@@ -18,8 +18,8 @@
 //! - *viewport*: what is out of the viewer's sight, or far away, waits (the viewport's text has the formula).
 //!
 //! The forecast orders and never refuses: its error has a heavy tail, so everything that can still be shown
-//! keeps some value, and a policy that is wrong about the path goes on to learn. Only what is in flight holds
-//! back what would pass it too late for its last frame, and that drains.
+//! keeps some value, and a policy that is wrong about the path goes on to learn. One thing is held back: what
+//! would come too late for its last frame through the queue that media cause themselves.
 //!
 //! With a flat table the score is frames per byte and their urgency: windows come in order and, within a
 //! window, levels, which is the conventional schedule.

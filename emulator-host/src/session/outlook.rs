@@ -27,13 +27,13 @@ pub struct PathFacts {
 
 /// Longest round trip of an empty path: satellites in high orbits take 0.6 s. What measured longer waited
 /// somewhere, such as on a link that carried nothing when the session began.
-const LONGEST_EMPTY: Nanos = Nanos::from_s(1);
+const LONGEST_EMPTY_ROUND_TRIP: Nanos = Nanos::from_s(1);
 
 impl PathFacts {
     /// The same with a smallest round trip that an empty path may have: otherwise everything would count as
     /// too late to be sent that is shown within half of what the first datagrams had to wait.
     pub(super) fn plausible(self) -> Self {
-        Self { minimum_rtt: self.minimum_rtt.min(LONGEST_EMPTY), ..self }
+        Self { minimum_rtt: self.minimum_rtt.min(LONGEST_EMPTY_ROUND_TRIP), ..self }
     }
 
     /// What is known of a path before anything was sent: the assumptions of RFC 9002, and a rate of its

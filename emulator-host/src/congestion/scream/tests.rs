@@ -122,6 +122,7 @@ fn delivered(mbps: u64, controller: ControllerKind, forward: PathConfig) -> Repo
         controller,
         forward,
         reverse: PathConfig { delay: Nanos::from_ms(50), ..PathConfig::default() },
+        // The bounds below are on the controller, and were set with this look-ahead.
         lookahead: Nanos::from_s(2),
         ..SessionConfig::default()
     };

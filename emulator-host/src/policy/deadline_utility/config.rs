@@ -20,10 +20,10 @@ pub struct DeadlineUtilityConfig {
     /// picture with holes looks worse than its utility says.
     pub base_weight: f64,
     /// How much a byte that could as well be sent later gives way to one that could not: weight of what is
-    /// lost by waiting until the next motion window is half over, beside what is gained at all.
+    /// lost by waiting until the next motion window is half over, relative to what is gained at all.
     pub delay_weight: f64,
-    /// Seconds by which an arrival is less certain for every second that sending waits.
-    pub doubt: f64,
+    /// Growth of the scale of the forecast's error, seconds for every second that sending waits, at least 0.
+    pub error_growth: f64,
     /// Before playout, first what the startup rule counts, by count per byte.
     pub opening: bool,
     /// Parity is sent where it saves more than the same bytes of something else; otherwise always.
@@ -59,7 +59,7 @@ impl Default for DeadlineUtilityConfig {
             arrival_from_queue: true,
             base_weight: 0.3,
             delay_weight: 300.0,
-            doubt: 0.03,
+            error_growth: 0.03,
             opening: true,
             parity_competes: true,
             viewport: Some(ViewportConfig::default()),

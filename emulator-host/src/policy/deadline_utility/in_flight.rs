@@ -7,15 +7,17 @@ use crate::{
     policy::{SenderView, probability::distribution},
 };
 
-/// Longest queue that is counted on: what media cause themselves. Longer ones are forecasts, which refuse
-/// nothing.
-const SURE: Nanos = Nanos::from_ms(100);
-
-/// Whether `packet`, behind what is in flight, comes before its last frame is shown. As that drains it may.
-pub(super) fn arrives(view: &SenderView<'_>, packet: PacketIndex, now: Nanos) -> bool {
+/// Whether `packet`, sent at `now` behind what is in flight, comes before its last frame is shown. Of the
+/// queue no more is counted on than `own_queue`, which media cause themselves: a longer one is a forecast.
+pub(super) fn arrives_in_time(
+    view: &SenderView<'_>,
+    packet: PacketIndex,
+    own_queue: Nanos,
+    now: Nanos,
+) -> bool {
     let bytes = view.in_flight + u64::from(view.graph.wire_bytes(packet)) + u64::from(OVERHEAD_BYTES);
     let behind = view.rate.time_for(Bytes(bytes)) - view.minimum_rtt;
-    !view.is_past(view.graph.useful_until(packet), now + behind.min(SURE))
+    !view.is_past(view.graph.useful_until(packet), now + behind.min(own_queue))
 }
 
 /// Chance that a packet in flight arrives, given that no receipt has named it: a loss grows likely as its

@@ -28,13 +28,13 @@ pub(super) struct Outlook {
     pub loss: f64,
     base_weight: f64,
     delay_weight: f64,
-    doubt: f64,
+    error_growth: f64,
     /// Seconds until the next window is half over; `None` if none begins before the horizon.
     wait_s: Option<f64>,
 }
 
-/// Shortest time between the beginnings of two windows that are told apart, seconds.
-const SHORTEST_S: f64 = 0.5;
+/// Windows that begin within this time of each other count as one, seconds.
+const SHORTEST_WINDOW_S: f64 = 0.5;
 
 /// Bytes that the path spends on a datagram beside the packet.
 pub(super) const OVERHEAD_BYTES: u32 = 58;
@@ -65,7 +65,7 @@ impl Outlook {
             loss: view.loss,
             base_weight: config.base_weight,
             delay_weight: config.delay_weight,
-            doubt: config.doubt,
+            error_growth: config.error_growth,
             wait_s: None,
         };
         Self { wait_s: outlook.wait(view.graph, view.horizon_frame), ..outlook }
@@ -73,9 +73,8 @@ impl Outlook {
 
     /// Seconds until a packet that is sent then arrives in the middle of the next window before `horizon`.
     ///
-    /// What begins with that window can be sent until then without loss, at the very least: what is lost by
-    /// waiting for so long tells what must go first. Before playout the next window is that of frame 0, and
-    /// all later ones can wait.
+    /// By waiting for so long, what shows now loses its frames until then, the next window half of its own,
+    /// and later windows nothing. Before playout the next window is that of frame 0.
     fn wait(&self, graph: &PacketGraph, horizon: u32) -> Option<f64> {
         let sent_for = |frame: u32| self.shown_in(frame) - self.first_byte_s;
         let starts = graph.starts();
@@ -86,12 +85,12 @@ impl Outlook {
         if begin >= last {
             return None;
         }
-        let end = ahead.find(|end| *end >= begin + SHORTEST_S).map_or(last, |end| end.min(last));
-        Some(0.5 * (begin + end.max(begin)))
+        let end = ahead.find(|end| *end >= begin + SHORTEST_WINDOW_S).map_or(last, |end| end.min(last));
+        Some(0.5 * (begin + end))
     }
 
     /// What `parts` are expected to add if `bytes` of theirs are sent from now on, losses aside; and,
-    /// weighted, how much less it is once the next window is half over. Without one, no waiting pays.
+    /// weighted, how much less it is once the next window is half over. With none to come, waiting loses all.
     pub(super) fn value(&self, parts: &[Addition], sums: &FrameSums, bytes: u32) -> f64 {
         match self.wait_s {
             Some(wait) => {
@@ -118,7 +117,7 @@ impl Outlook {
         let sending = f64::from(bytes) * self.per_byte_s;
         let expected = self.first_byte_s + sending;
         let spread = self.spread_s + 0.5 * sending;
-        let late_spread = spread + self.doubt * delay_s;
+        let late_spread = spread + self.error_growth * delay_s;
         let (mut soon, mut late) = (0.0, 0.0);
         for part in parts {
             let (utility, base) = sums.gain(part, self.next_frame);

@@ -9,7 +9,7 @@ use std::{cmp::Ordering, collections::BinaryHeap, sync::Arc};
 
 use super::{
     config::DeadlineUtilityConfig,
-    in_flight::{arrives, survival},
+    in_flight::{arrives_in_time, survival},
     outlook::{OVERHEAD_BYTES, Outlook},
 };
 use crate::{
@@ -92,6 +92,8 @@ pub(super) struct Plan {
     /// Kept, so that plans cost no allocation.
     children: Vec<(f64, Block)>,
     finished: Vec<usize>,
+    /// Longest queue that media cause ([`DeadlineUtilityConfig::own_queue`]); zero if nothing bounds it.
+    own_queue: Nanos,
     target: Option<u32>,
     /// Packets at the front of the target of which none waits.
     done: usize,
@@ -118,6 +120,7 @@ impl Plan {
             ready: BinaryHeap::new(),
             children: Vec::new(),
             finished: Vec::new(),
+            own_queue: Nanos::ZERO,
             target: None,
             done: 0,
             division,
@@ -156,6 +159,7 @@ impl Plan {
 
     /// Ranks what may be sent at `now`.
     pub(super) fn renew(&mut self, view: &SenderView<'_>, config: &DeadlineUtilityConfig, now: Nanos) {
+        self.own_queue = config.own_queue.unwrap_or(Nanos::ZERO);
         self.target = None;
         self.ready.clear();
         self.enter(view);
@@ -301,7 +305,9 @@ impl Plan {
         let (at, first) = waiting.next()?;
         self.done = at;
         let mut candidates = std::iter::once(first).chain(waiting.map(|(_, packet)| packet));
-        let in_time = |packet: &PacketIndex| view.is_sendable(*packet, now) && arrives(view, *packet, now);
+        let in_time = |packet: &PacketIndex| {
+            view.is_sendable(*packet, now) && arrives_in_time(view, *packet, self.own_queue, now)
+        };
         let found = candidates.find(in_time);
         debug_assert_eq!(
             found,
