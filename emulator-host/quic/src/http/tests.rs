@@ -95,11 +95,11 @@ fn files_ranges_and_absences_are_answered() {
     let head = server.talk(b"HEAD /streams/ten.dgs HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n");
     assert!(head.starts_with("HTTP/1.1 200") && head.ends_with("\r\n\r\n"), "{head}");
     assert!(head.to_lowercase().contains("content-length: 10"), "{head}");
-    // Two requests on one connection.
-    let two = "GET /streams/ten.dgs HTTP/1.1\r\nHost: x\r\n\r\n".repeat(2);
+    // Two requests on one connection. It ends because the second says so: a client that hangs up may do it
+    // before the second is read.
+    let request = "GET /streams/ten.dgs HTTP/1.1\r\nHost: x\r\n";
     let mut stream = server.connect();
-    stream.write_all(two.as_bytes()).unwrap();
-    stream.shutdown(std::net::Shutdown::Write).unwrap();
+    stream.write_all(format!("{request}\r\n{request}Connection: close\r\n\r\n").as_bytes()).unwrap();
     assert_eq!(rest(&mut stream).matches("0123456789").count(), 2);
     let report = server.stop();
     assert_eq!((report.requests, report.slow, report.malformed), (7, 0, 0), "{report:?}");
