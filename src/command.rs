@@ -60,7 +60,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Verb::Stream(args) => stream::run(&args, quiet),
         Verb::Sweep(args) => sweep::run(&args, quiet),
         Verb::Serve(args) => serve::run(&args, quiet),
-        Verb::Play(args) => play::run(&args),
+        Verb::Play(args) => play::run(&args, quiet),
         Verb::View(args) => view::run(&args, quiet),
         Verb::Demo(args) => demo::run(&args, quiet),
         Verb::Bench(args) => match bench::run(&args, cli.json) {

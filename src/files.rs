@@ -179,10 +179,12 @@ fn affixes(path: &Path) -> (String, &'static str) {
 
 /// The folder that `path` is in.
 fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    }
+    path.parent().map_or(Path::new("."), or_here)
+}
+
+/// The folder of this name; the name of the one that a relative path begins in is empty.
+fn or_here(folder: &Path) -> &Path {
+    if folder.as_os_str().is_empty() { Path::new(".") } else { folder }
 }
 
 fn check_folder(folder: &Path) -> Result<()> {
@@ -215,6 +217,21 @@ pub struct FrameFolder {
 }
 
 impl FrameFolder {
+    /// Refuses a `target` that [`FrameFolder::create`] would: asked before the work that makes the frames.
+    /// Nothing is made.
+    ///
+    /// # Errors
+    /// As [`FrameFolder::create`].
+    pub fn check(target: &Path, overwrite: bool) -> Result<()> {
+        check_unused(target, overwrite)?;
+        let ancestors = folder_of(target).ancestors();
+        let existing = ancestors.map(or_here).find(|folder| folder.exists()).unwrap_or(Path::new("."));
+        check_folder(existing)?;
+        let failed = || format!("{}: cannot write in this folder", existing.display());
+        tempfile::Builder::new().prefix(&affixes(target).0).tempfile_in(existing).with_context(failed)?;
+        Ok(())
+    }
+
     /// Begins a folder that will be `target`. A `target` that holds anything is refused; with `overwrite`
     /// one that holds the frames of its `sequence.json` and nothing else will be replaced.
     ///
@@ -279,9 +296,7 @@ impl FrameFolder {
             None
         };
         if let Err(error) = fs::rename(self.temporary.path(), &self.target) {
-            if let Some(aside) = &replaced {
-                fs::rename(aside.path().join("replaced"), &self.target).with_context(failed)?;
-            }
+            put_back(replaced, &self.target)?;
             return Err(error).with_context(failed);
         }
         sync_folder(folder).with_context(failed)?;
@@ -301,6 +316,23 @@ impl FrameFolder {
     fn write_index(&self) -> Result<()> {
         self.put(SEQUENCE_INDEX, &serde_json::to_vec_pretty(&self.index)?)
     }
+}
+
+/// Gives what was moved into `aside` its name again.
+///
+/// # Errors
+/// Where it is, if that fails.
+fn put_back(aside: Option<TempDir>, target: &Path) -> Result<()> {
+    let Some(aside) = aside else { return Ok(()) };
+    let moved = aside.path().join("replaced");
+    fs::rename(&moved, target).map_err(|error| {
+        let _ = aside.keep();
+        anyhow::anyhow!(
+            "{}: cannot write: {error}; what it held before is in {}",
+            target.display(),
+            moved.display()
+        )
+    })
 }
 
 /// Refuses a folder that holds anything, unless it is to be overwritten and holds only its frames.

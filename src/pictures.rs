@@ -136,7 +136,7 @@ impl PictureOutput {
     /// A name that cannot be written, or a video that cannot be made here.
     pub fn check(self, path: &Path, overwrite: bool) -> Result<()> {
         match self {
-            Self::Folder => FrameFolder::create(path, overwrite).map(drop),
+            Self::Folder => FrameFolder::check(path, overwrite),
             Self::Still(_) if files::is_standard_output(path) => Ok(()),
             Self::Still(_) => files::check(path),
             Self::Animation(_) => PendingFile::begin(path).map(drop),

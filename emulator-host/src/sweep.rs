@@ -24,9 +24,6 @@ use crate::{
 
 pub use summary::{Comparison, Estimate, Summary, summary};
 
-/// No queue is shorter: two whole datagrams.
-const LEAST_QUEUE_BYTES: u64 = 3_000;
-
 /// One way in which links and packets differ between blocks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Condition {
@@ -240,10 +237,10 @@ impl Sweep {
         let Replay { capacity, delay, loss } = replay
             .starting_at(Nanos(offset))
             .map_err(|error| SweepError::Trace { name: swept.name.clone(), error })?;
-        let queue = capacity.mean_rate().bytes_in(design.queue).0.max(LEAST_QUEUE_BYTES);
+        let queue = QueueLimit::lasting(design.queue, capacity.mean_rate());
         let forward = PathConfig {
             capacity: Capacity::Trace(capacity),
-            queue: QueueLimit { bytes: queue, ..QueueLimit::default() },
+            queue,
             loss: design.conditions[condition].loss,
             loss_trace: loss,
             delay: swept.delay,

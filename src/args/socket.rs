@@ -9,6 +9,7 @@ use super::{
     CameraArgs, CodecArgs, PolicyName, SceneArgs, ViewArgs,
     number::{not_negative, positive, whole},
 };
+use crate::pictures::VideoCodec;
 
 /// Where it listens when nothing is said: here alone.
 fn here() -> SocketAddr {
@@ -101,9 +102,13 @@ pub struct Play {
     /// Certificate authority of the server (PEM).
     #[arg(long, value_name = "FILE")]
     pub ca: Option<PathBuf>,
-    /// Write the frames as they were shown to this folder, as PNG. Without it nothing is drawn.
-    #[arg(short, long, value_name = "FOLDER")]
+    /// Write the frames as they were shown, once playing is over: PNG in a folder, or .apng, .gif, .mp4 or
+    /// .webm. Without it nothing is drawn.
+    #[arg(short, long, value_name = "FILE|FOLDER")]
     pub out: Option<PathBuf>,
+    /// How pictures of an .mp4 are coded [default: av1].
+    #[arg(long, value_enum)]
+    pub video_codec: Option<VideoCodec>,
     /// Replace a folder of images that is there already.
     #[arg(long)]
     pub overwrite: bool,

@@ -61,7 +61,7 @@ struct MetricSummary {
 /// Runs the verb.
 pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
     if let Some(out) = &args.out {
-        FrameFolder::create(out, args.overwrite)?;
+        FrameFolder::check(out, args.overwrite)?;
     }
     let network = args.lpips.as_deref().map(lpips).transpose()?;
     let backend = Backend::open(args.device.into()).context("--device")?;

@@ -34,10 +34,10 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let progress = Progress::new("convert", quiet.0);
     let mut warnings = Vec::new();
     let scene = read(&args.input, &args.scene, &mut |w| warnings.push(w))?;
-    let damaged = !warnings.is_empty();
     progress.stage("editing", 0.3);
     let before = (scene.max_count(), scene.frames());
     let scene = edited(args, scene, &mut warnings)?;
+    let damaged = !warnings.is_empty();
     progress.stage("turning", 0.5);
     let (scene, turned) = turned(args, scene, output.usual_up())?;
     progress.stage("writing", 0.6);

@@ -39,6 +39,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
         ErrorKind::Illegal,
         ErrorKind::Contradiction,
         ErrorKind::Short,
+        ErrorKind::Unknown,
         ErrorKind::Capacity,
     ];
     for kind in kinds {

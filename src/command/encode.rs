@@ -3,7 +3,6 @@
 use std::{path::Path, time::Instant};
 
 use anyhow::{Context, Result, bail};
-use codec_core::internals::wire::manifest::Profile;
 use render_host::Backend;
 use serde_json::json;
 use trainer_host::{
@@ -17,7 +16,7 @@ use trainer_host::{
 };
 
 use crate::{
-    args::Encode,
+    args::{Encode, ProfileName},
     figures::{audit_lines, counted, number},
     files,
     output::VerbOutput,
@@ -40,6 +39,9 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
             bail!("--utility: is written beside the stream, and nothing is beside standard output");
         }
         files::check(&pipeline::utility_path(&args.out))?;
+    }
+    if args.truncate.is_some() && args.codec.profile != ProfileName::Dgs1 {
+        bail!("--truncate: profile paper sends every level; profile dgs1 is allowed");
     }
     if let Some(path) = &args.decisions_out {
         files::check(path)?;
@@ -70,12 +72,10 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         None => pipeline::encode(&loaded.scene, &options, quiet)?,
     };
     let mut truncated = None;
-    if let Some(lambda) = args.truncate.filter(|_| options.profile == Profile::Dgs1) {
+    if let Some(lambda) = args.truncate {
         let found = pipeline::truncate(&loaded.scene, &options, &encoded, lambda, quiet)?;
         encoded = found.0;
         truncated = Some(found.1);
-    } else if args.truncate.is_some() {
-        bail!("--truncate: profile paper sends every level; profile dgs1 is allowed");
     }
     let seconds = start.elapsed().as_secs_f64();
     let (stream, report) = (&encoded.stream, &encoded.report);

@@ -1,6 +1,6 @@
 //! Plays a served stream and says how good it was: `dgs play`.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{collections::BTreeMap, path::Path, sync::Arc, time::Duration};
 
 use anyhow::{Context, Result, bail};
 use codec_core::{
@@ -9,7 +9,7 @@ use codec_core::{
 };
 use dgs_player::StreamInfo;
 use dgs_quic::socket::{ClientConfig, Conditions, Granted, PlayReport, Scheme, Screen, play};
-use render_host::{Image, metric};
+use render_host::metric;
 use serde::Serialize;
 use serde_json::json;
 use trainer_host::{
@@ -24,16 +24,19 @@ use super::{
 use crate::{
     args::Play,
     figures::mean,
-    files::FrameFolder,
     output::VerbOutput,
-    pipeline::{self, Frames, Watching},
+    pictures::{PictureOutput, PictureRun, PictureWriter},
+    pipeline::{self, Frames, Quiet, Watching},
+    progress::Progress,
 };
 
 /// Remembers the state in which each frame was shown; pictures are drawn once nothing has to be on time.
 struct States<'a> {
     args: &'a Play,
     draws: bool,
-    shown: BTreeMap<u32, Vec<u8>>,
+    /// Frames in which nothing new has arrived share one state.
+    shown: BTreeMap<u32, Arc<[u8]>>,
+    newest: Arc<[u8]>,
     /// The viewer that is typed, once the manifest is there, and the frame that it sees next.
     watching: Option<Result<Watching>>,
     next: u32,
@@ -49,7 +52,11 @@ impl Screen for States<'_> {
     fn show(&mut self, player: &mut dgs_player::Player, frame: u32) -> Result<(), String> {
         self.next = frame + 1;
         if self.draws {
-            self.shown.insert(frame, player.content().blocks.to_vec());
+            let state = player.content().blocks;
+            if *self.newest != *state {
+                self.newest = state.into();
+            }
+            self.shown.insert(frame, Arc::clone(&self.newest));
         }
         match &self.watching {
             Some(Err(error)) => Err(format!("{error:#}")),
@@ -86,12 +93,10 @@ struct Quality {
 }
 
 /// Runs the verb.
-pub fn run(args: &Play) -> Result<VerbOutput> {
+pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
     let trust = trust(&args.url, args.pin, args.ca.as_ref())?;
     let conditions = conditions(args)?;
-    if let Some(folder) = &args.out {
-        FrameFolder::create(folder, args.overwrite)?;
-    }
+    let output = args.out.as_deref().map(|out| output(args, out)).transpose()?;
     let mut warnings = Vec::new();
     let reference = match &args.reference {
         Some(path) => Some(pipeline::read_stream(path, &mut |w| warnings.push(w))?),
@@ -106,7 +111,8 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
         ..ClientConfig::new(args.url.clone(), trust)
     };
     let draws = args.out.is_some() || reference.is_some();
-    let mut states = States { args, draws, shown: BTreeMap::new(), watching: None, next: 0 };
+    let (shown, newest) = (BTreeMap::new(), Arc::default());
+    let mut states = States { args, draws, shown, newest, watching: None, next: 0 };
     let played = runtime()?.block_on(async {
         match args.url.scheme {
             Scheme::Moq => relay::play(&config, &mut states, interruption()).await,
@@ -123,7 +129,10 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
     warnings.extend(ungranted(args, played.report.granted));
     warnings.extend(played.player.as_ref().and_then(|player| past_the_end(args, &player.info())));
     let quality = match (played.player, draws) {
-        (Some(player), true) => draw(args, player, watching, &states.shown, reference.as_ref())?,
+        (Some(player), true) => {
+            let output = args.out.as_deref().zip(output);
+            draw(args, player, watching, &states.shown, (output, reference.as_ref()), quiet)?
+        }
         _ => None,
     };
     let text = summary(args, &played.report, quality.as_ref());
@@ -173,13 +182,27 @@ fn past_the_end(args: &Play, info: &StreamInfo) -> Option<String> {
         .then(|| format!("{url}: --seek is {}; the clip lasts {seconds:.2} s: its end is shown", args.seek))
 }
 
-/// Draws every frame in the state in which it was shown.
+/// What pictures are written as, if they can be.
+fn output(args: &Play, out: &Path) -> Result<PictureOutput> {
+    let output = PictureOutput::of(out, args.video_codec)?;
+    if output.is_still() {
+        bail!("{}: holds one picture; frames go to a folder, an animation or a video", out.display());
+    }
+    output.check(out, args.overwrite)?;
+    Ok(output)
+}
+
+/// Pictures that are in memory at once.
+const PICTURES_AT_ONCE: usize = 16;
+
+/// Draws every frame in the state in which it was shown: writes it, and compares it with the complete frame.
 fn draw(
     args: &Play,
     player: dgs_player::Player,
     watching: Option<Watching>,
-    states: &BTreeMap<u32, Vec<u8>>,
-    reference: Option<&Stream>,
+    states: &BTreeMap<u32, Arc<[u8]>>,
+    (output, reference): (Option<(&Path, PictureOutput)>, Option<&Stream>),
+    quiet: Quiet,
 ) -> Result<Option<Quality>> {
     let mut frames = frames(args, player);
     let watching = match watching {
@@ -187,38 +210,48 @@ fn draw(
         None => Watching::of(&args.cameras, &args.view, &mut frames)?,
     };
     let settings = pipeline::settings(&args.view);
+    let frames_per_second = frames.frames_per_second();
     let Frames::Stream { received, .. } = &frames else { bail!("a stream has frames of a stream") };
     let content = received.content();
-    let shown: Vec<(u32, Option<&[u8]>)> =
-        states.iter().map(|(frame, state)| (*frame, Some(state.as_slice()))).collect();
-    let images = watching.pictures(&content, &shown, &settings)?;
-    if let Some(folder) = &args.out {
-        let mut folder = FrameFolder::create(folder, args.overwrite)?;
-        for ((frame, _), image) in shown.iter().zip(&images) {
-            folder.add(format!("{frame:05}.png"), &image.to_png()?)?;
+    let whole = reference.map(Stream::receive).transpose()?;
+    let complete = whole.as_ref().map(|whole| whole.content());
+    if let Some(complete) = &complete {
+        let (has, wants) = (complete.manifest.head().frames, content.manifest.head().frames);
+        if has != wants {
+            bail!("--reference has {has} frames; the stream that was played has {wants}");
         }
-        folder.finish(args.overwrite)?;
     }
-    let Some(reference) = reference else { return Ok(None) };
-    let whole = reference.receive()?;
-    let complete = whole.content();
-    let (has, wants) = (complete.manifest.head().frames, content.manifest.head().frames);
-    if has != wants {
-        bail!("--reference has {has} frames; the stream that was played has {wants}");
+    let run = PictureRun { pictures: states.len(), frames_per_second, overwrite: args.overwrite };
+    let writer = output.filter(|_| !states.is_empty());
+    let mut writer = writer.map(|(out, output)| PictureWriter::begin(out, output, run)).transpose()?;
+    let shown: Vec<(u32, Option<&[u8]>)> = states.iter().map(|(frame, state)| (*frame, Some(&**state))).collect();
+    let mut psnr_db = BTreeMap::new();
+    let progress = Progress::new("play", quiet.0);
+    for (at, part) in shown.chunks(PICTURES_AT_ONCE).enumerate() {
+        progress.step("drawing", at * PICTURES_AT_ONCE, shown.len());
+        let images = watching.pictures(&content, part, &settings)?;
+        if let Some(writer) = &mut writer {
+            for ((frame, _), image) in part.iter().zip(&images) {
+                writer.add(&format!("{frame:05}"), image)?;
+            }
+        }
+        let Some(complete) = &complete else { continue };
+        let all: Vec<_> = part.iter().map(|(frame, _)| (*frame, Some(complete.blocks))).collect();
+        let references = watching.pictures(complete, &all, &settings)?;
+        for ((frame, _), (image, reference)) in part.iter().zip(images.iter().zip(&references)) {
+            psnr_db.insert(*frame, metric::psnr(image, reference)?.min(PSNR_CAP_DB));
+        }
     }
-    let all: Vec<(u32, Option<&[u8]>)> =
-        shown.iter().map(|(frame, _)| (*frame, Some(complete.blocks))).collect();
-    let references = watching.pictures(&complete, &all, &settings)?;
-    quality(&shown, &images, &references).map(Some)
+    progress.stage("finishing", 1.0);
+    if let Some(writer) = writer {
+        writer.finish()?;
+    }
+    Ok(complete.map(|_| quality(psnr_db)))
 }
 
-fn quality(shown: &[(u32, Option<&[u8]>)], images: &[Image], references: &[Image]) -> Result<Quality> {
-    let mut psnr_db = BTreeMap::new();
-    for ((frame, _), (image, reference)) in shown.iter().zip(images.iter().zip(references)) {
-        psnr_db.insert(*frame, metric::psnr(image, reference)?.min(PSNR_CAP_DB));
-    }
+fn quality(psnr_db: BTreeMap<u32, f64>) -> Quality {
     let all: Vec<f64> = psnr_db.values().copied().collect();
-    Ok(Quality { mean_psnr_db: mean(&all), worst_tenth_psnr_db: evaluator::worst_tenth(&all), psnr_db })
+    Quality { mean_psnr_db: mean(&all), worst_tenth_psnr_db: evaluator::worst_tenth(&all), psnr_db }
 }
 
 /// The report for people.

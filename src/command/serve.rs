@@ -1,6 +1,7 @@
 //! Serves streams over QUIC, and a page over HTTP, until Ctrl-C: `dgs serve`.
 
 use std::{
+    collections::VecDeque,
     io,
     net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr},
     path::Path,
@@ -45,6 +46,8 @@ const NOT_BY_WINDOW: &str = "warning: packets of windows that were over came on 
                              shown a stream that grows from its newest window on; dgs cut FILE - --live \
                              writes a file so, and dgs serve FILE serves it whole";
 
+/// Viewers of whom the report at the end tells one by one, the last ones; all are counted.
+const MOST_REPORTED: usize = 4096;
 /// What a server listens on says nothing of where viewers find it.
 const EVERYWHERE: &str = "--listen is every address of this machine; the URLs below are for this machine \
                           alone: --host NAME names it for viewers elsewhere";
@@ -142,7 +145,8 @@ struct Served {
     urls: Vec<String>,
     page: Option<String>,
     report: ServerReport,
-    viewers: Vec<ViewerReport>,
+    /// The last ones, for JSON.
+    viewers: VecDeque<ViewerReport>,
     http: Option<HttpReport>,
 }
 
@@ -191,13 +195,18 @@ async fn serve(
             output::print(&format!("{url}\n"))?
         }
     }
-    let mut viewers = Vec::new();
+    let mut viewers = VecDeque::new();
     let ended = |viewer: &ViewerReport| {
         if !quiet.0 {
             // Where nobody reads any more, serving goes on.
             let _ = output::print(&line(viewer));
+            return;
         }
-        viewers.push(viewer.clone());
+        // Serving may take days.
+        if viewers.len() == MOST_REPORTED {
+            viewers.pop_front();
+        }
+        viewers.push_back(viewer.clone());
     };
     let (stop, stopped) = oneshot::channel::<()>();
     let stopping = async {

@@ -117,7 +117,11 @@ pub(crate) fn impaired_link(text: &str, args: &LinkArgs) -> Result<Link> {
 /// What is recorded of the link as typed, or the built-in trace, from its offset on; and notes on it.
 fn recorded(args: &LinkArgs) -> Result<(Replay, Vec<String>)> {
     let Recording { mut replay, mut notes } = match &args.trace {
-        Some(path) => read_recording(path)?,
+        Some(path) => {
+            let Recording { replay, notes } = read_recording(path)?;
+            let named = notes.iter().map(|note| format!("{}: {note}", path.display())).collect();
+            Recording { replay, notes: named }
+        }
         None => {
             Recording { replay: Trace::bursty(args.link_seed, Nanos::from_s(60)).into(), notes: Vec::new() }
         }

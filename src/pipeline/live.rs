@@ -1,6 +1,6 @@
 //! Reads a stream while an encoder writes it: window after window, in bounded memory.
 
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::{
@@ -9,6 +9,7 @@ use codec_core::internals::{
     wire::{
         checked::Checked,
         file::{self, Record},
+        manifest::Manifest,
         packet::Packet,
     },
 };
@@ -16,7 +17,7 @@ use codec_simd::crc32;
 use emulator_host::PacketGraph;
 use trainer_host::{Stream, stream::PacketMap};
 
-use crate::delivery::{Places, coverage, graph};
+use crate::delivery::{Places, graph};
 
 /// Magic and length before the manifest message.
 const HEAD_BYTES: usize = 8;
@@ -26,6 +27,31 @@ const CHUNK_BYTES: usize = 64 << 10;
 const PACKET_BYTES: usize = 2 + MAX_PACKET_BYTES;
 /// Media of windows that ended so long before the newest is forgotten: no viewer shows it any more.
 const MEMORY_SECONDS: f64 = 10.0;
+
+/// What a packet must be placed in: kept, since the manifest is long and packets are many.
+struct Clip {
+    frames: u32,
+    /// First frame and frames.
+    epochs: Vec<(u32, u32)>,
+    windows: Vec<(u32, u32)>,
+}
+
+impl Clip {
+    fn of(manifest: &Manifest<'_>) -> Self {
+        let epochs = manifest.epochs().map(|epoch| (epoch.first_frame, epoch.frames)).collect();
+        let windows = manifest.windows().map(|window| (window.first_frame, window.frames.into())).collect();
+        Self { frames: manifest.head().frames, epochs, windows }
+    }
+
+    /// First frame and frames of a span of the clip.
+    fn coverage(&self, span: Span) -> (u32, u32) {
+        let found = match span {
+            Span::Canonical(id) => self.epochs.get(usize::from(id.0)),
+            Span::Motion(id) => self.windows.get(usize::from(id.0)),
+        };
+        found.copied().unwrap_or_default()
+    }
+}
 
 /// A stream of which there is more and more.
 pub struct LiveReader<R> {
@@ -41,6 +67,7 @@ pub struct LiveReader<R> {
     /// Times that a window was found to be whole.
     whole: u64,
     memory_frames: u32,
+    clip: Clip,
     ended: bool,
     damaged: usize,
     /// Whether no packet has come of a window before the one of which packets were coming.
@@ -62,7 +89,9 @@ impl<R: Read> LiveReader<R> {
         // Memory follows what arrives, whatever length is claimed.
         input.by_ref().take(len.into()).read_to_end(&mut head).context("the input cannot be read")?;
         let (stream, _) = Stream::from_bytes(&head).context("the input has no usable manifest")?;
-        let memory_frames = (stream.manifest()?.frames_per_second() * MEMORY_SECONDS).ceil() as u32;
+        let manifest = stream.manifest()?;
+        let memory_frames = (manifest.frames_per_second() * MEMORY_SECONDS).ceil() as u32;
+        let clip = Clip::of(&manifest);
         Ok(Self {
             input,
             rest: Vec::new(),
@@ -72,6 +101,7 @@ impl<R: Read> LiveReader<R> {
             newest: 0,
             whole: 0,
             memory_frames,
+            clip,
             ended: false,
             damaged: 0,
             by_window: true,
@@ -118,10 +148,14 @@ impl<R: Read> LiveReader<R> {
         let before = self.whole;
         while !self.ended {
             let mut chunk = vec![0; CHUNK_BYTES];
-            let len = self.input.read(&mut chunk).context("the input cannot be read")?;
+            let len = match self.input.read(&mut chunk) {
+                // A signal came; nothing is lost.
+                Err(error) if error.kind() == ErrorKind::Interrupted => continue,
+                read => read.context("the input cannot be read")?,
+            };
             self.rest.extend_from_slice(&chunk[..len]);
             self.ended = len == 0;
-            self.parse()?;
+            self.parse();
             if self.ended {
                 // The input ends inside a packet.
                 self.damaged += usize::from(!self.rest.is_empty());
@@ -139,13 +173,13 @@ impl<R: Read> LiveReader<R> {
     }
 
     /// Takes in the whole packets of what was read.
-    fn parse(&mut self) -> Result<()> {
+    fn parse(&mut self) {
         let rest = std::mem::take(&mut self.rest);
         let mut done = 0;
         for record in file::packets(&rest, 0, crc32) {
             match record {
                 Record::Packet(at, packet) => {
-                    self.take(&packet)?;
+                    self.take(&packet);
                     done = at + packet.bytes().len();
                 }
                 Record::Illegal(at, len, _) => {
@@ -168,26 +202,24 @@ impl<R: Read> LiveReader<R> {
             }
         }
         self.rest = rest.get(done..).unwrap_or(&[]).to_vec();
-        Ok(())
     }
 
     /// Takes in a packet; the first one of a later window says that those before are whole.
-    fn take(&mut self, packet: &Checked<'_>) -> Result<()> {
+    fn take(&mut self, packet: &Checked<'_>) {
         if !self.stream.insert(packet) {
             self.damaged += 1;
-            return Ok(());
+            return;
         }
-        let manifest = self.stream.manifest()?;
         let spans: Vec<Span> = match packet.packet() {
             Packet::Slices(slices) => slices.extents.iter().map(|extent| extent.span).collect(),
             Packet::Chunk(_) | Packet::Parity(_) => Vec::new(),
         };
-        let frames = spans.iter().map(|span| coverage(&manifest, *span));
+        let frames = spans.iter().map(|span| self.clip.coverage(*span));
         let (first, until) = frames.fold((0, 0), |(first, until), (start, frames)| {
             (first.max(start), until.max(start + frames.max(1) - 1))
         });
         // What has no span of its own may be of use to the end.
-        let until = if spans.is_empty() { manifest.head().frames } else { until };
+        let until = if spans.is_empty() { self.clip.frames } else { until };
         self.until.push((packet.id(), until));
         // Attributes of an epoch may come at any time in it.
         let is_motion = spans.iter().all(|span| matches!(span, Span::Motion(_))) && !spans.is_empty();
@@ -196,7 +228,6 @@ impl<R: Read> LiveReader<R> {
             (self.newest, self.coming) = (self.coming, first);
             self.whole += 1;
         }
-        Ok(())
     }
 
     /// Forgets what nobody shows any more.

@@ -151,6 +151,11 @@ impl Folder {
         self.runs(batch).is_file() && (!self.trajectories || self.trajectories(batch).is_file())
     }
 
+    /// Whether `batch` is there and no file of it was cut since: otherwise the sweep makes it again.
+    fn has_whole(&self, batch: u64) -> bool {
+        self.has(batch) && self.read(batch).is_ok() && check_parquet(&self.trajectories(batch)).is_ok()
+    }
+
     /// Writes `batch`; how many bytes.
     pub(super) fn write(&self, batch: u64, trials: &[(Trial, Vec<FrameRow>)]) -> Result<u64> {
         let mut bytes = 0;
@@ -188,7 +193,7 @@ impl Folder {
 
     /// Batches that are not there.
     pub(crate) fn missing(&self) -> Vec<u64> {
-        (0..self.batches()).filter(|batch| !self.has(*batch)).collect()
+        (0..self.batches()).filter(|batch| !self.has_whole(*batch)).collect()
     }
 
     /// Batches that are there without trajectories, and all that are there.

@@ -39,9 +39,9 @@ pub use impair::Impairment;
 pub use limits::ServerLimits;
 pub use locator::{DEFAULT_PORT, Locator, LocatorError};
 pub use message::{Conditions, Granted, ViewerLink};
-#[cfg(feature = "moq")]
-pub(crate) use offer::starts;
 pub use offer::{LiveFeed, MAX_MEDIA_BYTES, Offer, OfferError};
+#[cfg(feature = "moq")]
+pub(crate) use offer::{middle_us, starts};
 #[cfg(feature = "moq")]
 pub(crate) use playback::Playback;
 pub use scheme::Scheme;

@@ -168,9 +168,9 @@ impl Recovery {
         self.path.estimate()
     }
 
-    /// min(cwnd/srtt, r̂_path): what the sender can count on.
-    pub fn rate(&self) -> Rate {
-        let window = Rate::over(Bytes(self.controller.window()), self.rtt.smoothed());
+    /// min(cwnd/rtt, r̂_path): what a sender can count on whose round trips take `rtt`.
+    pub fn rate(&self, rtt: Nanos) -> Rate {
+        let window = Rate::over(Bytes(self.controller.window()), rtt);
         self.path_rate().map_or(window, |path| window.min(path))
     }
 

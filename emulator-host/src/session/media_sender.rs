@@ -14,6 +14,7 @@ use super::{
     forecast::Forecasts,
     loss_share::LossShare,
     outlook::{Outlook, PathFacts},
+    parity_queue::ParityQueue,
     reported_pose::ReportedPose,
 };
 use crate::{
@@ -27,6 +28,10 @@ use crate::{
 /// Below this share of lost datagrams the window is as large as the path and its queue, and a shorter queue
 /// costs nothing. Where losses keep the window small, it grows only while it is filled.
 const FEW_LOSSES: f64 = 0.005;
+
+/// Longest time without a datagram while something is worth sending. A rate that was measured while the link
+/// stood still would ask for longer; a link for which this is too often carries less than 10 kbit/s.
+const LONGEST_SILENCE: Nanos = Nanos::from_s(1);
 
 /// What a sender of media may do, whatever the transport.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,12 +88,8 @@ pub struct MediaSender<G, S> {
     sent_at: Vec<Nanos>,
     last_number: Vec<u64>,
     again: VecDeque<PacketIndex>,
-    parity: VecDeque<PacketIndex>,
-    /// Parity that the scheduler did not want when its set was sent.
-    later_parity: Vec<PacketIndex>,
-    /// Members of each repair set that were never sent.
-    set_waiting: Vec<u32>,
-    /// Level-0 bytes of frame 0 that were never sent.
+    parity: ParityQueue,
+    /// Level-0 bytes of frame 0 that were never sent and are not known to be there.
     first_base_bytes: u64,
     outlook: Outlook,
     known_start: Option<Nanos>,
@@ -127,9 +128,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             sent_at: vec![Nanos::ZERO; packets],
             last_number: vec![u64::MAX; packets],
             again: VecDeque::new(),
-            parity: VecDeque::new(),
-            later_parity: Vec::new(),
-            set_waiting: graph.repair_sets().iter().map(|set| set.members.len() as u32).collect(),
+            parity: ParityQueue::new(&graph),
             first_base_bytes,
             outlook: Outlook::new(path, rules.retransmissions, rules.startup.rule),
             known_start: None,
@@ -227,8 +226,17 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
 
     /// Time has come to `now`: more of the clip may be within the horizon.
     pub fn advance(&mut self, now: Nanos) {
+        self.expect_start_after(now);
         if now >= self.horizon_moves_at {
             self.widen(now);
+        }
+    }
+
+    /// Playout that no receipt has reported is still to begin, whatever was expected when the receiver was last
+    /// heard: otherwise what is shown first would count as too late while a link stands still.
+    fn expect_start_after(&mut self, now: Nanos) {
+        if self.known_start.is_none() {
+            self.outlook.playout_start = self.outlook.playout_start.max(now);
         }
     }
 
@@ -257,7 +265,8 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         if path.rate.moves_within(Bytes(path.in_flight), longest) {
             return None;
         }
-        let silence = own_queue.times(2).max(path.rate.time_for(Bytes(2 * path.datagram_bytes)));
+        let silence = path.rate.time_for(Bytes(2 * path.datagram_bytes)).min(LONGEST_SILENCE);
+        let silence = silence.max(own_queue.times(2));
         let silence_ends = self.last_sent_at + silence;
         (now < silence_ends).then_some(silence_ends)
     }
@@ -274,7 +283,10 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     }
 
     fn next_of_any(&mut self, now: Nanos) -> Option<PacketIndex> {
-        let packet = self.next_lost(now).or_else(|| self.next_parity(now));
+        let packet = self.next_lost(now).or_else(|| {
+            let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
+            self.parity.next(&mut self.scheduler, &view, now)
+        });
         let packet = if packet.is_none() && !self.starved { self.next_choice(now) } else { packet }?;
         let is_parity = self.is_parity(packet);
         self.counts.parity += u64::from(is_parity);
@@ -282,7 +294,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         self.sent_times[packet.at()] = self.sent_times[packet.at()].saturating_add(1);
         self.set_status(packet, PacketStatus::InFlight);
         if first {
-            self.first_send(packet);
+            self.count_off(packet);
         }
         Some(packet)
     }
@@ -305,8 +317,22 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         self.loss.settle(acked, lost, now);
     }
 
+    /// Another sender to the same receiver sent `packet` at the time `at` as its sending `number`, and what
+    /// became of it is not known.
+    pub fn on_sent_before(&mut self, packet: PacketIndex, number: u64, at: Nanos) {
+        if self.status[packet.at()] == PacketStatus::Waiting {
+            self.set_status(packet, PacketStatus::InFlight);
+            self.count_off(packet);
+        }
+        self.sent_times[packet.at()] = self.sent_times[packet.at()].saturating_add(1);
+        self.on_sent(packet, number, at);
+    }
+
     /// The receiver has `packet`.
     pub fn on_acked(&mut self, packet: PacketIndex) {
+        if self.sent_times[packet.at()] == 0 && self.status[packet.at()] == PacketStatus::Waiting {
+            self.count_off(packet);
+        }
         self.set_status(packet, PacketStatus::Delivered);
     }
 
@@ -315,6 +341,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         if self.status[packet.at()] != PacketStatus::InFlight || self.last_number[packet.at()] != number {
             return;
         }
+        self.expect_start_after(now);
         let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
         let expired = view.is_expired(packet, now);
         if self.service.lost_compete && !self.is_parity(packet) {
@@ -382,24 +409,6 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         None
     }
 
-    /// Parity of a set whose last member has been sent.
-    fn next_parity(&mut self, now: Nanos) -> Option<PacketIndex> {
-        if self.parity.is_empty() {
-            return None;
-        }
-        let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
-        while let Some(parity) = self.parity.pop_front() {
-            if view.is_expired(parity, now) {
-                continue;
-            }
-            if self.scheduler.wants_parity(&view, parity, now) {
-                return Some(parity);
-            }
-            self.later_parity.push(parity);
-        }
-        None
-    }
-
     /// What the scheduler says; with nothing else to send, parity that was not worth its bytes before may be,
     /// while what it protects is on its way.
     fn next_choice(&mut self, now: Nanos) -> Option<PacketIndex> {
@@ -410,16 +419,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             packet = None;
         }
         if packet.is_none() {
-            self.later_parity.retain(|parity| {
-                let sets = view.graph.sets_of(*parity).iter();
-                let mut members = sets.flat_map(|set| &view.graph.repair_sets()[*set as usize].members);
-                !view.is_expired(*parity, now)
-                    && members.any(|member| view.status[member.at()] == PacketStatus::InFlight)
-            });
-            let scheduler = &mut self.scheduler;
-            let wanted =
-                self.later_parity.iter().position(|parity| scheduler.wants_parity(&view, *parity, now));
-            packet = wanted.map(|at| self.later_parity.swap_remove(at));
+            packet = self.parity.next_of_refused(&mut self.scheduler, &view, now);
         }
         self.starved = packet.is_none();
         let packet = packet?;
@@ -434,7 +434,8 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         Some(packet)
     }
 
-    fn first_send(&mut self, packet: PacketIndex) {
+    /// `packet` no longer waits for its first sending.
+    fn count_off(&mut self, packet: PacketIndex) {
         // Few packets can be of the first base, and only for them is it worth to look at their groups.
         let may_be_first_base = self.graph.level(packet) == 0 && self.graph.needed_from(packet) == 0;
         let is_first_base = |group: GroupIndex| {
@@ -445,15 +446,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             let bytes = u64::from(self.graph.wire_bytes(packet));
             self.first_base_bytes = self.first_base_bytes.saturating_sub(bytes);
         }
-        if self.graph.is_parity(packet) {
-            return;
-        }
-        for set in self.graph.sets_of(packet) {
-            self.set_waiting[*set as usize] -= 1;
-            if self.set_waiting[*set as usize] == 0 {
-                self.parity.extend(self.graph.parity(*set));
-            }
-        }
+        self.parity.count_off(&self.graph, packet);
     }
 
     fn set_status(&mut self, packet: PacketIndex, after: PacketStatus) {

@@ -36,6 +36,8 @@ pub struct Outstanding {
     bytes: u64,
     arrived_bytes: u64,
     loss_at: Option<Nanos>,
+    /// When something was last found to have arrived.
+    arrival_at: Nanos,
     /// Whether the transport repeats what is lost by itself.
     is_repeated: bool,
 }
@@ -68,6 +70,27 @@ impl Outstanding {
         self.sendings.push_back(Sending { number: self.next_number, packet, bytes, sent_at: now });
         self.bytes += bytes;
         self.next_number += 1;
+    }
+
+    /// Goes on with another sender to the same receiver, in whose graph `index` says which packet is which;
+    /// what that graph lacks is forgotten.
+    pub fn carry_over<G, S>(
+        &mut self,
+        sender: &mut MediaSender<G, S>,
+        index: impl Fn(PacketIndex) -> Option<PacketIndex>,
+    ) where
+        G: Deref<Target = PacketGraph>,
+        S: Scheduler,
+    {
+        self.sendings.retain_mut(|sending| {
+            let Some(packet) = index(sending.packet) else {
+                self.bytes -= sending.bytes;
+                return false;
+            };
+            sending.packet = packet;
+            sender.on_sent_before(packet, sending.number, sending.sent_at);
+            true
+        });
     }
 
     /// Packets whose loss was inferred so far.
@@ -112,6 +135,9 @@ impl Outstanding {
         });
         self.arrived_below = arrived_below;
         let arrived = before - self.sendings.len();
+        if arrived > 0 {
+            self.arrival_at = now;
+        }
         self.arrived_bytes += arrived_bytes;
         self.bytes -= arrived_bytes;
         let mut lost = Vec::new();
@@ -155,21 +181,31 @@ impl Outstanding {
         lost.len()
     }
 
-    /// Gives up what left `silence` ago and of which nothing was heard, whatever came later: at the end of a
-    /// burst nothing does. How many were given up; [`MediaSender::look`] is to be called after it.
-    pub fn expire<G, S>(&mut self, sender: &mut MediaSender<G, S>, silence: Nanos, now: Nanos) -> usize
+    /// Gives up what left `silence` before the receiver was heard last, at `heard_at`, if nothing has arrived
+    /// since then either: at the end of a burst nothing later tells what is lost. While nobody is heard, or
+    /// what waited on a link is arriving, nothing is given up. How many were given up; [`MediaSender::look`]
+    /// is to be called after it.
+    pub fn expire<G, S>(
+        &mut self,
+        sender: &mut MediaSender<G, S>,
+        silence: Nanos,
+        heard_at: Nanos,
+        now: Nanos,
+    ) -> usize
     where
         G: Deref<Target = PacketGraph>,
         S: Scheduler,
     {
-        let old = self.sendings.partition_point(|sending| sending.sent_at + silence <= now);
+        let arrival_at = self.arrival_at;
+        let old =
+            self.sendings.partition_point(|sending| sending.sent_at.max(arrival_at) + silence <= heard_at);
         let lost: Vec<Sending> = self.sendings.drain(..old).collect();
         self.give_up(sender, 0, &lost, now)
     }
 
-    /// When [`Self::expire`] gives something up, if nothing is heard of it.
+    /// When [`Self::expire`] gives something up, if the receiver is heard then and does not name it.
     pub fn expires_at(&self, silence: Nanos) -> Nanos {
-        self.sendings.front().map_or(Nanos::MAX, |sending| sending.sent_at + silence)
+        self.sendings.front().map_or(Nanos::MAX, |sending| sending.sent_at.max(self.arrival_at) + silence)
     }
 }
 
@@ -223,8 +259,11 @@ mod tests {
         assert_eq!(out.bytes(), bytes(5) + bytes(6));
         assert_eq!(out.arrived_bytes(), [0, 2, 3, 7].map(bytes).iter().sum::<u64>());
         let silence = Nanos::from_ms(100);
-        assert_eq!(out.expires_at(silence), Nanos::from_ms(105));
-        assert_eq!(out.expire(&mut sender, silence, Nanos::from_ms(105)), 1);
-        assert_eq!((out.lost(), out.bytes()), (3, bytes(6)));
+        // Since the last arrival.
+        assert_eq!(out.expires_at(silence), Nanos::from_ms(147));
+        // Of a receiver that is not heard nothing is known.
+        assert_eq!(out.expire(&mut sender, silence, Nanos::from_ms(146), Nanos::from_s(9)), 0);
+        assert_eq!(out.expire(&mut sender, silence, Nanos::from_ms(147), Nanos::from_ms(147)), 2);
+        assert_eq!((out.lost(), out.bytes()), (4, 0));
     }
 }

@@ -7,7 +7,7 @@ use super::{
     feedback::Reported,
     media_sender::MediaSender,
     news::{Heard, NewsLog},
-    outlook::PathFacts,
+    outlook::{PathFacts, expected_round_trip},
 };
 use crate::{
     clock::{Bytes, Nanos},
@@ -264,10 +264,11 @@ fn widest_datagram(graph: &PacketGraph) -> u64 {
 
 fn facts(recovery: &Recovery, datagram_bytes: u64) -> PathFacts {
     let rtt = recovery.rtt();
+    let expected = expected_round_trip(rtt.smoothed(), rtt.latest());
     PathFacts {
-        rate: recovery.rate(),
-        smoothed_rtt: rtt.smoothed(),
-        rtt_variation: rtt.variation(),
+        rate: recovery.rate(expected),
+        smoothed_rtt: expected,
+        rtt_variation: rtt.variation().min(expected),
         minimum_rtt: rtt.minimum(),
         in_flight: recovery.in_flight(),
         datagram_bytes,

@@ -5,7 +5,10 @@ mod quality;
 
 use std::ops::Range;
 
-use codec_core::{internals::ids::Span, player::MAX_RECEIPT_BYTES};
+use codec_core::{
+    internals::{ids::Span, wire::packet::Head},
+    player::MAX_RECEIPT_BYTES,
+};
 use dgs_player::{Caps, Damage, ErrorKind, FrameDecoder, Player, Result, Stream, Usable};
 use render_host::Splats;
 
@@ -40,7 +43,8 @@ pub struct Shown<'s> {
     pub only_moved: bool,
 }
 
-/// See the module.
+/// One stream as a viewer has it open: what has come of it, its clock, its camera, its emulated network, and
+/// what to draw of it.
 #[derive(Debug)]
 pub struct Session {
     message: Vec<u8>,
@@ -193,7 +197,10 @@ impl Session {
     }
 
     fn push_all(&mut self, packets: impl IntoIterator<Item = Vec<u8>>) {
-        self.packets.extend(packets);
+        // A server that repeats its clip sends for hours: what is there already is not stored again.
+        let (live, player) = (self.live, &self.player);
+        let is_there = |packet: &[u8]| Head::parse(packet).is_ok_and(|head| player.has(head.id));
+        self.packets.extend(packets.into_iter().filter(|packet| !live || !is_there(packet)));
         if self.channel.conditions().is_perfect() {
             self.send_all();
         }

@@ -79,7 +79,7 @@ impl SceneOutput {
     pub(in crate::command) fn check(self, path: &Path, overwrite: bool) -> Result<()> {
         match self {
             Self::File(_) | Self::FourDgs => files::check(path),
-            Self::Folder => FrameFolder::create(path, overwrite).map(drop),
+            Self::Folder => FrameFolder::check(path, overwrite),
         }
     }
 

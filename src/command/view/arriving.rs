@@ -1,11 +1,12 @@
 //! Brings a stream from a server to a window: packets of a session, or a file by byte ranges.
 
 use std::{
-    io::Read as _,
+    collections::VecDeque,
+    io::{self, Read as _},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
-        mpsc::{Receiver, SyncSender, TryRecvError},
+        mpsc::{Receiver, SyncSender, TryRecvError, TrySendError},
     },
     thread::{self, JoinHandle},
     time::{Duration, Instant},
@@ -25,8 +26,11 @@ use crate::command::socket::runtime;
 
 /// Largest file, bytes.
 const MAX_FILE_BYTES: u64 = 4 << 30;
-/// Longest wait for an answer.
+/// Longest wait for a connection or an answer, and for the bytes of a part besides what [`SLOWEST_BPS`] takes
+/// for them.
 const PATIENCE: Duration = Duration::from_secs(30);
+/// Bytes per second of the slowest path over which parts of a file are waited for.
+const SLOWEST_BPS: u64 = 4 << 10;
 /// Tries of one request, and what lies between two.
 const TRIES: u32 = 4;
 const PAUSE: Duration = Duration::from_millis(200);
@@ -36,6 +40,8 @@ const ROUND_EVERY: Duration = Duration::from_millis(250);
 const EARLY_PACKETS: usize = 128;
 /// How soon the end of the window is noticed.
 const NOTICE: Duration = Duration::from_millis(50);
+/// How long the end waits for the thread, which may wait for a server.
+const LAST_WORDS: Duration = Duration::from_millis(500);
 
 /// Whether `input` is an address and no path.
 pub(super) fn is_address(input: &str) -> bool {
@@ -74,8 +80,11 @@ impl Arriving {
     /// Ends it.
     pub fn end(self) {
         self.stop.store(true, Ordering::Relaxed);
-        // What it had to say, it has said to the window.
-        let _ = self.thread.join();
+        // So that a server hears of it. A thread that waits for a file ends with the process.
+        let begun = Instant::now();
+        while !self.thread.is_finished() && begun.elapsed() < LAST_WORDS {
+            thread::sleep(NOTICE / 10);
+        }
     }
 }
 
@@ -95,17 +104,40 @@ struct Forwarding {
     conditions: Option<Conditions>,
     round_at: Option<Instant>,
     pose: Option<ViewerPose>,
+    /// What must arrive and found no room.
+    waiting: VecDeque<Arrival>,
 }
 
 impl Forwarding {
-    /// A window that is slow or hidden loses packets as a network does.
-    fn send(&self, arrival: Arrival) {
-        let _ = self.arrivals.try_send(arrival);
+    /// A window that is slow or hidden loses packets as a network does, and nothing else.
+    fn send(&mut self, arrival: Arrival) {
+        self.send_waiting();
+        if matches!(arrival, Arrival::Packet(_)) {
+            if self.waiting.is_empty() {
+                let _ = self.arrivals.try_send(arrival);
+            }
+            return;
+        }
+        // Twice anew is anew.
+        if !matches!((&arrival, self.waiting.back()), (Arrival::Anew, Some(Arrival::Anew))) {
+            self.waiting.push_back(arrival);
+        }
+        self.send_waiting();
+    }
+
+    fn send_waiting(&mut self) {
+        while let Some(arrival) = self.waiting.pop_front() {
+            if let Err(TrySendError::Full(arrival)) = self.arrivals.try_send(arrival) {
+                self.waiting.push_front(arrival);
+                return;
+            }
+        }
     }
 }
 
 impl Screen for Forwarding {
     fn show(&mut self, _: &mut dgs_player::Player, _: u32) -> Result<(), String> {
+        self.send_waiting();
         Ok(())
     }
 
@@ -177,6 +209,7 @@ fn bring_session(config: &ClientConfig, feeder: Feeder, stop: &AtomicBool) {
         conditions: None,
         round_at: None,
         pose: None,
+        waiting: VecDeque::new(),
     };
     let stopped = async {
         while !stop.load(Ordering::Relaxed) {
@@ -187,17 +220,25 @@ fn bring_session(config: &ClientConfig, feeder: Feeder, stop: &AtomicBool) {
         Ok(runtime) => runtime.block_on(play(config, &mut screen, stopped)).error.map(|e| e.to_string()),
         Err(error) => Some(format!("{error:#}")),
     };
-    let _ = last.try_send(Arrival::End(why.map(|why| format!("{}: {why}", config.locator))));
+    // The window takes these when it is shown again, or is gone.
+    let end = Arrival::End(why.map(|why| format!("{}: {why}", config.locator)));
+    for arrival in screen.waiting.into_iter().chain([end]) {
+        let _ = last.send(arrival);
+    }
 }
 
 /// Fetches a file, what is wished for first, until all of it is there or `stop`.
 fn bring_file(url: &str, feeder: &Feeder, stop: &AtomicBool) {
-    let agent = Agent::new_with_config(Agent::config_builder().timeout_global(Some(PATIENCE)).build());
+    let patient = Agent::config_builder()
+        .timeout_resolve(Some(PATIENCE))
+        .timeout_connect(Some(PATIENCE))
+        .timeout_recv_response(Some(PATIENCE));
+    let agent = Agent::new_with_config(patient.build());
     let end = match fetch(&agent, url, feeder, stop) {
         Ok(()) => None,
         Err(error) => Some(format!("{url}: {error:#}")),
     };
-    let _ = feeder.arrivals.try_send(Arrival::End(end));
+    let _ = feeder.arrivals.send(Arrival::End(end));
 }
 
 fn fetch(agent: &Agent, url: &str, feeder: &Feeder, stop: &AtomicBool) -> Result<()> {
@@ -206,23 +247,30 @@ fn fetch(agent: &Agent, url: &str, feeder: &Feeder, stop: &AtomicBool) -> Result
             feeder.arrivals.send(Arrival::File(bytes))?;
             return Ok(());
         }
-        Answer::Part { bytes, length } => (bytes, length),
+        Answer::Part { bytes, file } => (bytes, file),
     };
-    let (mut bytes, length) = front;
+    let (mut bytes, file) = front;
+    let length = file.length;
     if let Err(needed) = dgs_viewer::message(&bytes)? {
         match ask(agent, url, Some((0, needed.min(length))))? {
             Answer::Whole(whole) => {
                 feeder.arrivals.send(Arrival::File(whole))?;
                 return Ok(());
             }
-            Answer::Part { bytes: longer, .. } => bytes = longer,
+            Answer::Part { bytes: longer, file: now } => {
+                now.check_unchanged(&file)?;
+                bytes = longer;
+            }
         }
     }
     feeder.arrivals.send(Arrival::Front { bytes, length })?;
     while !stop.load(Ordering::Relaxed) {
         let arrival = match feeder.wishes.try_recv() {
             Ok(Wish::Bytes(range)) => match ask(agent, url, Some((range.start, range.end)))? {
-                Answer::Part { bytes, .. } => Arrival::Piece { at: range.start, bytes },
+                Answer::Part { bytes, file: now } => {
+                    now.check_unchanged(&file)?;
+                    Arrival::Piece { at: range.start, bytes }
+                }
                 Answer::Whole(bytes) => Arrival::File(bytes),
             },
             Ok(Wish::Whole) => match ask(agent, url, None)? {
@@ -248,8 +296,26 @@ fn fetch(agent: &Agent, url: &str, feeder: &Feeder, stop: &AtomicBool) -> Result
 
 /// What a server answers.
 enum Answer {
-    Part { bytes: Vec<u8>, length: u64 },
+    Part { bytes: Vec<u8>, file: ServedFile },
     Whole(Vec<u8>),
+}
+
+/// The file of which a part was answered.
+struct ServedFile {
+    length: u64,
+    /// What names this version of it (RFC 9110, 8.8.3), if the server says.
+    etag: Option<String>,
+}
+
+impl ServedFile {
+    /// # Errors
+    /// That parts of `before` and of this one do not belong together.
+    fn check_unchanged(&self, before: &Self) -> Result<()> {
+        if self.length != before.length || self.etag != before.etag {
+            bail!("the file has changed on the server since it was opened; open it again");
+        }
+        Ok(())
+    }
 }
 
 /// Bytes `from` to `past` of `url`, or all of it; tried again while the server is to blame.
@@ -264,12 +330,13 @@ fn ask(agent: &Agent, url: &str, part: Option<(u64, u64)>) -> Result<Answer> {
     }
 }
 
-/// Whether another try may do better: not when the server says that there is nothing.
+/// Whether another try may do better: not when the server says that there is nothing, or what means nothing.
 fn may_pass(error: &anyhow::Error) -> bool {
     match error.downcast_ref::<ureq::Error>() {
         Some(ureq::Error::StatusCode(status)) => *status >= 500,
         Some(_) => true,
-        None => false,
+        // A connection that was cut while bytes came.
+        None => error.is::<io::Error>(),
     }
 }
 
@@ -277,23 +344,34 @@ fn ask_once(agent: &Agent, url: &str, part: Option<(u64, u64)>) -> Result<Answer
     let mut request = agent.get(url);
     if let Some((from, past)) = part {
         request = request.header("Range", format!("bytes={from}-{}", past.saturating_sub(1)));
+        let longest = PATIENCE + Duration::from_secs((past - from) / SLOWEST_BPS);
+        request = request.config().timeout_recv_body(Some(longest)).build();
     }
     let response = request.call()?;
     let Some((from, past)) = part.filter(|_| response.status() == 206) else {
         return Ok(Answer::Whole(body(response, MAX_FILE_BYTES)?));
     };
-    let field = response.headers().get("Content-Range").and_then(|field| field.to_str().ok()).unwrap_or("");
-    let length: u64 = field
-        .rsplit('/')
-        .next()
-        .and_then(|length| length.parse().ok())
-        .with_context(|| format!("Content-Range is {field:?}; a length is missing"))?;
+    let field = |name: &str| response.headers().get(name).and_then(|field| field.to_str().ok());
+    let (range, etag) = (field("Content-Range").unwrap_or(""), field("ETag").map(str::to_owned));
+    let (first, length) = content_range(range)
+        .with_context(|| format!("Content-Range is {range:?}; bytes FIRST-LAST/LENGTH is needed"))?;
+    if first != from {
+        bail!("bytes from {first} on came; from {from} on were asked for");
+    }
     let bytes = body(response, past - from)?;
     let wanted = past.min(length).saturating_sub(from);
     if (bytes.len() as u64) < wanted {
-        bail!("{} bytes of {wanted} came", bytes.len());
+        let short = format!("{} bytes of {wanted} came", bytes.len());
+        return Err(io::Error::new(io::ErrorKind::UnexpectedEof, short).into());
     }
-    Ok(Answer::Part { bytes, length })
+    Ok(Answer::Part { bytes, file: ServedFile { length, etag } })
+}
+
+/// First byte and length of the file, of `bytes FIRST-LAST/LENGTH` (RFC 9110, 14.4).
+fn content_range(field: &str) -> Option<(u64, u64)> {
+    let (range, length) = field.strip_prefix("bytes ")?.split_once('/')?;
+    let (first, _) = range.split_once('-')?;
+    Some((first.trim().parse().ok()?, length.trim().parse().ok()?))
 }
 
 /// The bytes of an answer, `most` at most.
@@ -304,4 +382,38 @@ fn body(response: Response<Body>, most: u64) -> Result<Vec<u8>> {
         bail!("more than {most} bytes came");
     }
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_content_range_says_where_a_part_lies() {
+        assert_eq!(content_range("bytes 5-9/200"), Some((5, 200)));
+        for field in ["", "bytes 5-9/*", "bytes */200", "5-9/200", "bytes 5/200"] {
+            assert_eq!(content_range(field), None, "{field}");
+        }
+    }
+
+    #[test]
+    fn what_must_arrive_waits_for_room_and_packets_do_not() {
+        let (arrivals, window) = std::sync::mpsc::sync_channel(1);
+        let (_, wishes) = std::sync::mpsc::channel();
+        let (wanted_us, conditions, round_at, pose) = (None, None, None, None);
+        let waiting = VecDeque::new();
+        let mut screen =
+            Forwarding { arrivals, wishes, early: None, wanted_us, conditions, round_at, pose, waiting };
+        screen.media(&[1]);
+        screen.media(&[2]);
+        screen.forget();
+        screen.forget();
+        screen.media(&[3]);
+        assert!(matches!(window.recv().unwrap(), Arrival::Packet(packet) if packet == [1]));
+        screen.send_waiting();
+        assert!(matches!(window.recv().unwrap(), Arrival::Anew));
+        screen.media(&[4]);
+        assert!(matches!(window.recv().unwrap(), Arrival::Packet(packet) if packet == [4]));
+        assert!(window.try_recv().is_err());
+    }
 }

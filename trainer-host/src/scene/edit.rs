@@ -39,6 +39,14 @@ pub enum EditError {
         /// Frames of the other.
         b: usize,
     },
+    /// Scenes whose clips have different frame rates.
+    #[error("merge: scenes of {a} and {b} frames per second; the same rate is needed")]
+    Rates {
+        /// Frames per second of the first.
+        a: f64,
+        /// Of the other.
+        b: f64,
+    },
     /// Scenes whose Gaussians are drawn differently.
     #[error("merge: Gaussians are drawn with footprints {} and {}; the same is needed", .a.name(), .b.name())]
     Footprints {
@@ -150,12 +158,19 @@ fn with_degree(epoch: &Epoch, degree: ShDegree) -> Attributes {
 
 /// The Gaussians of both scenes; one of a single frame stays where it is while the other moves.
 ///
+/// Cameras are those of `scene`, or of `other` where that has none; `other` must have been turned to what is
+/// up in `scene`.
+///
 /// # Errors
-/// Clips of other lengths.
+/// Clips of other lengths or frame rates, or other footprints.
 pub fn merged(scene: &Scene, other: &Scene) -> Result<Scene, EditError> {
     let (a, b) = (scene.frames(), other.frames());
     if a != b && a != 1 && b != 1 {
         return Err(EditError::Lengths { a, b });
+    }
+    let rates = (scene.frames_per_second(), other.frames_per_second());
+    if a > 1 && b > 1 && rates.0 != rates.1 {
+        return Err(EditError::Rates { a: rates.0, b: rates.1 });
     }
     if scene.footprint != other.footprint {
         return Err(EditError::Footprints { a: scene.footprint, b: other.footprint });
@@ -179,6 +194,9 @@ pub fn merged(scene: &Scene, other: &Scene) -> Result<Scene, EditError> {
     }
     let mut out = with_epochs(if a >= b { scene } else { other }, epochs)?;
     out.up = scene.up;
+    out.usual_up = scene.usual_up;
+    let cameras = if scene.cameras.is_empty() { &other.cameras } else { &scene.cameras };
+    out.cameras.clone_from(cameras);
     out.notes = [&scene.notes[..], &other.notes].concat();
     Ok(out)
 }

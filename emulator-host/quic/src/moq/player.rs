@@ -108,8 +108,11 @@ async fn watch(
             if !config.loops {
                 return Ok(());
             }
-            playback.next_round(RoundWish::default());
-            continue;
+            // Its last frame is shown as long as the others.
+            if playback.next_time().is_none_or(|ends| Instant::now() >= ends) {
+                playback.next_round(RoundWish::default())?;
+                continue;
+            }
         }
         let wake = if has_manifest { playback.next_time().unwrap_or(deadline) } else { deadline };
         let arrival = async {
@@ -122,6 +125,7 @@ async fn watch(
             arrival = arrival => match arrival {
                 Some(Arrival::Manifest(message)) => {
                     playback.manifest(&message)?;
+                    screen.manifest(&message);
                     has_manifest = true;
                     spans = playback.player().and_then(windows);
                     begin(playback, spans.as_ref(), newest);
@@ -131,7 +135,10 @@ async fn watch(
                     begin(playback, spans.as_ref(), newest);
                 }
                 Some(Arrival::Window(_)) => {}
-                Some(Arrival::Packet(packet)) => playback.media(&packet)?,
+                Some(Arrival::Packet(packet)) => {
+                    playback.media(&packet)?;
+                    screen.media(&packet);
+                }
                 Some(Arrival::Ended(why)) => return Err(PlayError::Ended(why)),
                 None => return Err(PlayError::Ended("all tracks".to_owned())),
             },
@@ -153,7 +160,7 @@ fn windows(player: &Player) -> Option<Spans> {
 fn begin(playback: &mut Playback, spans: Option<&Spans>, newest: Option<u64>) {
     let (Some(spans), Some(newest)) = (spans, newest) else { return };
     let now = spans.begins(newest) - LEAD;
-    playback.move_start(spans.time_us(spans.first(spans.at(now))));
+    playback.move_start(spans.middle_us(spans.first(spans.at(now))));
 }
 
 /// Reads what comes on `track`, for ever.

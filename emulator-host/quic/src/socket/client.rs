@@ -297,7 +297,7 @@ async fn converse(
         let over_at = playback.next_time().map_or(now, |ends| ends.max(round_at + ROUND_INTERVAL));
         if is_over && now >= over_at {
             round_at = now;
-            say(send, &playback.next_round(RoundWish::default())).await?;
+            say(send, &playback.next_round(RoundWish::default())?).await?;
             if playback.begins_anew() {
                 screen.forget();
             }
@@ -308,7 +308,7 @@ async fn converse(
             && let Some(wish) = playback.newest_wish()?
         {
             newest_at = now + NEWEST_INTERVAL;
-            say(send, &playback.next_round(wish)).await?;
+            say(send, &playback.next_round(wish)?).await?;
             continue;
         }
         // A stream that grows is shown at its newest end.
@@ -316,7 +316,7 @@ async fn converse(
             && let Some(wish) = screen.wanted_round()
             && (wish.conditions.is_some() || !playback.grows())
         {
-            say(send, &playback.next_round(wish)).await?;
+            say(send, &playback.next_round(wish)?).await?;
             deadline = Instant::now() + config.silence;
             if playback.begins_anew() {
                 screen.forget();

@@ -1,7 +1,7 @@
 //! Holds a stream that a server offers: its bytes, its graph, and the part of the graph from each window on.
 
 use std::{
-    collections::BTreeMap,
+    collections::VecDeque,
     sync::{Arc, Mutex, PoisonError},
 };
 
@@ -12,7 +12,7 @@ use codec_core::{
 };
 use dgs_player::Stream;
 use emulator_host::{
-    GroupIndex, PacketGraph, PacketIndex,
+    GroupIndex, Nanos, PacketGraph, PacketIndex,
     graph::{GraphError, GraphParts, Packet, RepairSet, Selection},
     policy,
 };
@@ -43,9 +43,12 @@ pub(crate) struct Content {
     whole: Arc<PacketGraph>,
     /// First frame of the newest window that is there, of a stream that grows.
     newest: Option<u32>,
-    /// The graph from a start on, once somebody has begun there.
-    tails: Mutex<BTreeMap<u32, Arc<PacketGraph>>>,
+    /// Graphs from starts on where somebody has begun of late, the newest last.
+    tails: Mutex<VecDeque<(u32, Arc<PacketGraph>)>>,
 }
+
+/// Graphs that are kept for the next viewer who begins there. Each is as large as the rest of the clip.
+const MOST_TAILS: usize = 8;
 
 /// Where what comes of a stream that grows is entered.
 #[derive(Debug)]
@@ -104,12 +107,18 @@ impl Content {
         if first == 0 {
             return Ok(self.whole.clone());
         }
-        let mut tails = self.tails.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(tail) = tails.get(&first) {
-            return Ok(tail.clone());
+        let lock = || self.tails.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = lock().iter().find(|(start, _)| *start == first).map(|(_, tail)| tail.clone());
+        if let Some(tail) = known {
+            return Ok(tail);
         }
+        // Not while others wait for theirs.
         let tail = Arc::new(tail(&self.whole, first)?);
-        tails.insert(first, tail.clone());
+        let mut tails = lock();
+        if tails.len() == MOST_TAILS {
+            tails.pop_front();
+        }
+        tails.push_back((first, tail.clone()));
         Ok(tail)
     }
 }
@@ -265,22 +274,36 @@ impl Offer {
     /// Where a round begins that asks for the time `start_us`: the frame, and whether that is for the server
     /// to say, because the stream grows.
     pub(super) fn start(&self, content: &Content, start_us: u64) -> (u32, bool) {
-        let interval_us = self.interval_us(content);
         match content.newest {
             Some(newest) => (start_before(&self.starts, newest.into()), true),
-            None => (start_before(&self.starts, start_us / interval_us), false),
+            None => {
+                let frame = frame_at(start_us, content.graph().frame_interval());
+                (start_before(&self.starts, frame), false)
+            }
         }
     }
 
-    /// The time of a frame as a client says it, microseconds: within the frame, however rounding goes.
-    pub(super) fn time_us(&self, content: &Content, frame: u32) -> u64 {
-        let interval_us = self.interval_us(content);
-        u64::from(frame) * interval_us + interval_us / 2
+    /// The time of the middle of a frame as a client says it, microseconds.
+    pub(super) fn middle_us(&self, content: &Content, frame: u32) -> u64 {
+        middle_us(frame, content.graph().frame_interval())
     }
+}
 
-    fn interval_us(&self, content: &Content) -> u64 {
-        (content.graph().frame_interval().0 / 1000).max(1)
-    }
+/// When `frame` begins, in whole microseconds: at most one before it does.
+pub(super) fn time_us(frame: u32, interval: Nanos) -> u64 {
+    let nanos = u128::from(frame) * u128::from(interval.0);
+    u64::try_from(nanos / 1000).unwrap_or(u64::MAX)
+}
+
+/// The time of the middle of `frame`, in whole microseconds.
+pub(crate) fn middle_us(frame: u32, interval: Nanos) -> u64 {
+    time_us(frame, interval).saturating_add(interval.0 / 2000)
+}
+
+/// The frame that shows at a time in whole microseconds, which may be that of [`time_us`].
+pub(super) fn frame_at(time_us: u64, interval: Nanos) -> u64 {
+    let nanos = u128::from(time_us) * 1000 + 999;
+    u64::try_from(nanos / u128::from(interval.0.max(1))).unwrap_or(u64::MAX)
 }
 
 /// First frames of all windows, ascending; always with 0.
@@ -368,6 +391,19 @@ mod tests {
         // From the start on it is the whole.
         let whole = super::tail(&graph, 0).unwrap();
         assert_eq!((whole.groups(), whole.packets()), (graph.groups(), graph.packets()));
+    }
+
+    /// Sixty frames a second are no whole number of microseconds.
+    #[test]
+    fn a_frame_is_found_at_its_own_time_hours_into_a_clip() {
+        for interval in [16_666_667, 33_333_333, 40_000_000].map(Nanos) {
+            for frame in [0, 1, 3, 59, 1800, 108_000, 216_000] {
+                assert_eq!(frame_at(time_us(frame, interval), interval), u64::from(frame));
+                assert_eq!(frame_at(time_us(frame, interval) + 16_000, interval), u64::from(frame));
+            }
+        }
+        assert_eq!(frame_at(1_800_000_000, Nanos(16_666_667)), 107_999, "of 108,000 longer by 36 us");
+        assert!(frame_at(u64::MAX, Nanos(1)) == u64::MAX && time_us(u32::MAX, Nanos(u64::MAX)) == u64::MAX);
     }
 
     #[test]

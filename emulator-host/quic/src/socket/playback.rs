@@ -2,7 +2,15 @@
 
 use std::time::{Duration, Instant};
 
-use codec_core::{Caps, ErrorKind, internals::limits::MAX_RECEIPT_BYTES};
+use codec_core::{
+    Caps, ErrorKind,
+    internals::{
+        closure::levels_with_symbols,
+        ids::{ClusterId, Level, Span},
+        layout::Shape,
+        limits::MAX_RECEIPT_BYTES,
+    },
+};
 use dgs_player::{Player, Waiting};
 use emulator_host::{
     Nanos,
@@ -12,7 +20,7 @@ use tokio::sync::watch;
 
 use super::{
     message::{ClientMessage, Conditions, Granted},
-    offer::{start_before, starts},
+    offer::{frame_at, start_before, starts, time_us},
     screen::{FrameShown, PlayReport, RoundWish, Screen},
     settings::{ClientConfig, PlayError},
 };
@@ -47,6 +55,8 @@ pub(crate) struct Playback {
     start_us: u64,
     /// Whether the server says where a round begins.
     grows: bool,
+    /// Whether it has said so of this round.
+    begun: bool,
     receiver: MediaReceiver,
     receipt: Vec<u8>,
     wants_receipt: bool,
@@ -85,6 +95,7 @@ impl Playback {
             first: 0,
             start_us: config.start_us,
             grows: false,
+            begun: false,
             receiver: MediaReceiver::new(config.startup),
             receipt: Vec::new(),
             wants_receipt: false,
@@ -122,12 +133,17 @@ impl Playback {
 
     /// The stream grows: `round` begins at the time `start_us`, whatever was asked for.
     pub(super) fn begin_at(&mut self, round: u32, start_us: u64) -> Result<(), PlayError> {
-        if self.player.is_none() || self.receiver.playout_start().is_some() {
-            return Err(PlayError::Nonsense("begin before the manifest or after the first frame".to_owned()));
+        if self.player.is_none() || (self.begun && round == self.round) {
+            return Err(PlayError::Nonsense("begin before the manifest, or twice in a round".to_owned()));
         }
         self.grows = true;
         if round == self.round {
+            // Media that was there before the manifest may have been shown: that was not the beginning.
+            if self.receiver.playout_start().is_some() {
+                self.begin(round, start_us);
+            }
             self.move_start(start_us);
+            self.begun = true;
             // A server names the middle of a frame.
             let is_new = start_us + self.interval.0 / 1000 >= self.seen_us;
             self.ahead_since = self.ahead_since.filter(|_| !is_new);
@@ -169,9 +185,9 @@ impl Playback {
     pub(super) fn reconnect(&mut self) {
         self.report.connections += 1;
         self.report.rounds += 1;
-        let frame = u64::from(self.first) + u64::from(self.receiver.next_frame());
+        let frame = self.first + self.receiver.next_frame();
         self.anew = false;
-        self.begin(0, frame * self.interval.0 / 1000);
+        self.begin(0, time_us(frame, self.interval));
     }
 
     /// Begins round 0 again under the conditions that are to hold, if any are, as another round: nothing of
@@ -183,19 +199,22 @@ impl Playback {
     }
 
     /// Begins the next round as it is wished for.
-    pub(crate) fn next_round(&mut self, wish: RoundWish) -> ClientMessage {
+    ///
+    /// # Errors
+    /// What arrived before cannot be forgotten, for want of memory.
+    pub(crate) fn next_round(&mut self, wish: RoundWish) -> Result<ClientMessage, PlayError> {
         self.report.rounds += 1;
         self.begin(self.round + 1, wish.start_us);
         self.round_began = Instant::now();
-        match wish.conditions {
+        Ok(match wish.conditions {
             Some(conditions) => self.request(conditions),
             None => {
                 if self.anew {
-                    self.forget();
+                    self.forget()?;
                 }
                 ClientMessage::Seek { round: self.round, start_us: wish.start_us }
             }
-        }
+        })
     }
 
     /// Whether what comes now is of the round before, or of none of the conditions that were asked for.
@@ -224,21 +243,24 @@ impl Playback {
             (self.unanswered, self.report.granted) = (false, Some(granted));
             self.anew &= granted.scheduler;
             if self.anew {
-                self.forget();
+                self.forget()?;
             }
         }
         Ok(())
     }
 
     /// Forgets every packet.
-    fn forget(&mut self) {
-        let Ok(waiting) = Waiting::new(self.caps) else { return };
-        // It was taken before.
-        self.player = self.player.take().and_then(|_| waiting.manifest(&self.message).ok());
+    fn forget(&mut self) -> Result<(), PlayError> {
+        if self.player.is_some() {
+            let waiting = Waiting::new(self.caps).map_err(PlayError::Manifest)?;
+            self.player =
+                Some(waiting.manifest(&self.message).map_err(|(_, error)| PlayError::Manifest(error))?);
+        }
+        Ok(())
     }
 
     fn begin(&mut self, round: u32, start_us: u64) {
-        (self.round, self.start_us) = (round, start_us);
+        (self.round, self.start_us, self.begun) = (round, start_us, false);
         self.receiver = MediaReceiver::new(self.startup);
         self.set_clip();
     }
@@ -247,8 +269,7 @@ impl Playback {
     fn set_clip(&mut self) {
         let Some(player) = &self.player else { return };
         let frames = player.info().frames;
-        let wanted = self.start_us / (self.interval.0 / 1000).max(1);
-        self.first = start_before(&self.starts, wanted);
+        self.first = start_before(&self.starts, frame_at(self.start_us, self.interval));
         self.receiver.on_clip(frames - self.first, self.interval);
     }
 
@@ -318,7 +339,7 @@ impl Playback {
     /// Starts playout if enough is there, and shows what is due.
     pub(crate) fn show_due(&mut self, screen: &mut dyn Screen) -> Result<(), PlayError> {
         let now = self.now();
-        let holds = self.unanswered || self.ahead_since.is_some();
+        let holds = self.unanswered || self.ahead_since.is_some() || (self.grows && !self.begun);
         let Some(player) = self.player.as_mut().filter(|_| !holds) else { return Ok(()) };
         if let Some(pose) = screen.pose() {
             self.receiver.on_pose(pose);
@@ -358,7 +379,8 @@ impl Playback {
             self.report.shown.push(shown);
             screen.show(player, frame).map_err(PlayError::Nonsense)?;
             if self.grows {
-                self.note_missing(&shown);
+                let has_come = has_come(player, frame);
+                self.note_missing(frame, has_come);
             }
         }
         Ok(())
@@ -368,10 +390,11 @@ impl Playback {
         self.receiver.is_over()
     }
 
-    /// Finds that a stream that grows is not there yet where it is shown.
-    fn note_missing(&mut self, shown: &FrameShown) {
-        if shown.base_miss < 1.0 {
-            self.seen_us = (u64::from(shown.frame) + 1) * self.interval.0 / 1000;
+    /// Finds that a stream that grows is not there yet where it is shown: nothing has come of its window, or
+    /// of its epoch where nothing moves.
+    fn note_missing(&mut self, frame: u32, has_come: bool) {
+        if has_come {
+            self.seen_us = time_us(frame + 1, self.interval);
             self.missing = Nanos::ZERO;
             return;
         }
@@ -440,6 +463,30 @@ fn base(player: &Player, frame: u32) -> f64 {
     let moves = player.manifest().window_at(frame).is_some();
     let base = if moves { usable.motion[0] } else { usable.canonical[0] };
     f64::from(base) / f64::from(usable.blocks.max(1))
+}
+
+/// Whether any base that is coded has come of the window of `frame`, or of its epoch where it lies in none.
+/// Blocks of which nothing is coded, because they stand still, say nothing of that.
+fn has_come(player: &Player, frame: u32) -> bool {
+    let (content, manifest) = (player.content(), player.manifest());
+    let window = manifest.window_at(frame).map(Span::Motion);
+    let Some(span) = window.or_else(|| manifest.epoch_at(frame).map(Span::Canonical)) else { return true };
+    let mut is_coded = false;
+    for cluster in (0..manifest.clusters_of(span).unwrap_or(0)).map(|cluster| ClusterId(cluster as u16)) {
+        let (Ok(shape), Ok(cell)) =
+            (Shape::in_lattice(manifest, span, cluster), content.cell_in_lattice(span, cluster))
+        else {
+            continue;
+        };
+        if levels_with_symbols(&shape).has(Level::BASE) {
+            is_coded = true;
+            let has = |block| content.arrived(cell, block).is_ok_and(|arrived| arrived.has(Level::BASE));
+            if (0..shape.blocks()).any(has) {
+                return true;
+            }
+        }
+    }
+    !is_coded
 }
 
 /// Mean level count.

@@ -43,6 +43,8 @@ pub(super) struct Round {
     arrivals: Arrivals,
     /// The last receipt that said when playout began.
     playout: Vec<u8>,
+    /// When the client was heard last.
+    heard_at: Nanos,
 }
 
 /// How fast what was sent arrives.
@@ -130,11 +132,11 @@ impl Round {
         let path = facts(carrier, 0, 0, None);
         let sender = sender(&graph, policy, path, Nanos::ZERO, delivered);
         let (outstanding, arrivals, playout) = (Outstanding::new(), Arrivals::default(), Vec::new());
-        Ok(Self { number, began, first, content, graph, sender, outstanding, arrivals, playout })
+        let heard_at = Nanos::ZERO;
+        Ok(Self { number, began, first, content, graph, sender, outstanding, arrivals, playout, heard_at })
     }
 
-    /// More of a stream that grows is there. What is on its way is not waited for: if it was not delivered it
-    /// competes again.
+    /// More of a stream that grows is there; what is on its way stays so.
     pub(super) fn renew(
         &mut self,
         carrier: &Carrier,
@@ -142,15 +144,21 @@ impl Round {
         policy: PolicyKind,
         delivered: &[bool],
     ) -> Result<(), GraphError> {
-        self.graph = content.graph_from(self.first)?;
+        let before = std::mem::replace(&mut self.graph, content.graph_from(self.first)?);
         self.content = content;
-        let path = facts(carrier, 0, 0, self.arrivals.estimate());
+        let arrived = self.outstanding.arrived_bytes();
+        let path = facts(carrier, arrived, self.outstanding.bytes(), self.arrivals.estimate());
         let reported_pose = self.sender.reported_pose();
         self.sender = sender(&self.graph, policy, path, self.now(), delivered);
+        let graph = self.graph.clone();
+        self.outstanding.carry_over(&mut self.sender, |packet| {
+            let id = before.wire_id(packet);
+            graph.packets_in(id, id).next()
+        });
         self.sender.on_receipt(&self.playout);
+        let path = PathFacts { in_flight: self.outstanding.bytes(), ..path };
         self.sender.look(path, self.now());
         self.sender.set_reported_pose(reported_pose);
-        self.outstanding = Outstanding::new();
         Ok(())
     }
 
@@ -176,6 +184,7 @@ impl Round {
 
     /// The client's receipt.
     pub(super) fn on_receipt(&mut self, receipt: &[u8], carrier: &Carrier) {
+        self.heard_at = self.now();
         self.sender.on_receipt(receipt);
         if self.sender.playout_start().is_some() {
             self.playout.clear();
@@ -193,7 +202,7 @@ impl Round {
         }
         self.outstanding.settle(&mut self.sender, now);
         let silence = self.silence();
-        self.outstanding.expire(&mut self.sender, silence, now);
+        self.outstanding.expire(&mut self.sender, silence, self.heard_at, now);
         let arrived = self.outstanding.arrived_bytes();
         let path = facts(carrier, arrived, self.outstanding.bytes(), self.arrivals.estimate());
         self.arrivals.enter(arrived - before, &path, now);
@@ -207,7 +216,7 @@ impl Round {
 
     /// When time alone shows something to be lost.
     pub(super) fn loss_time(&self) -> Nanos {
-        self.outstanding.next_time().min(self.outstanding.expires_at(self.silence()))
+        self.outstanding.next_time()
     }
 
     /// The next packet to send, if one is worth sending and the path is not full.
@@ -236,7 +245,7 @@ impl Round {
         self.loss_time().min(full).min(self.sender.next_horizon_at())
     }
 
-    /// A packet of which nothing is heard for so long is lost.
+    /// A packet is lost that no receipt names which came so long after it had left.
     fn silence(&self) -> Nanos {
         let silence = self.sender.path().smoothed_rtt.times(3) + RECEIPTS;
         if self.outstanding.is_repeated() { silence.max(REPEATED) } else { silence }

@@ -175,7 +175,7 @@ impl<'s> Viewer<'s> {
         let (first, says) = offer.start(&now, start_us);
         let mut out = VecDeque::from(ServerMessage::Manifest(offer.message().to_vec()).to_bytes());
         if says {
-            out.extend(ServerMessage::Begin { round: 0, start_us: offer.time_us(&now, first) }.to_bytes());
+            out.extend(ServerMessage::Begin { round: 0, start_us: offer.middle_us(&now, first) }.to_bytes());
         }
         let greeting = out.len();
         let delivered = vec![false; now.count()];
@@ -375,7 +375,7 @@ impl<'s> Viewer<'s> {
         let content = self.content.borrow_and_update().clone();
         let (first, says) = self.offer.start(&content, start_us);
         if says {
-            let start_us = self.offer.time_us(&content, first);
+            let start_us = self.offer.middle_us(&content, first);
             self.answer(&ServerMessage::Begin { round, start_us })?;
         }
         let next = Round::new(round, self.carrier, (content, first), self.policy, &self.delivered);

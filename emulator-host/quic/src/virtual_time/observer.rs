@@ -110,6 +110,11 @@ impl Observed {
         self.rtt.variation()
     }
 
+    /// The newest round trip; zero before the first.
+    pub(super) fn newest_round_trip(&self) -> Nanos {
+        self.rtt.latest()
+    }
+
     /// Estimated rate of the path.
     pub(super) fn path_rate(&self) -> Option<Rate> {
         self.path.estimate()

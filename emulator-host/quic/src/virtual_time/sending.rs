@@ -4,11 +4,14 @@ use bytes::Bytes;
 use emulator_host::{
     Bytes as Size, Nanos, PacketGraph, PacketIndex, Rate, Scheduler, SessionConfig,
     report::{SenderCounts, SenderRow},
-    session::{MediaSender, Outstanding, PathFacts},
+    session::{MediaSender, Outstanding, PathFacts, expected_round_trip},
 };
 use quinn_proto::{Connection, ConnectionStats, Dir, FrameStats, StreamId};
 
 use super::{clock::Clock, end::End, observer::Watch};
+
+/// A receipt leaves so long after what it reports at the latest.
+const RECEIPT_DELAY: Nanos = Nanos::from_ms(25);
 
 /// Most bytes of the manifest that are handed over at once.
 const CONTROL_BYTES: usize = 16 * 1024;
@@ -23,6 +26,8 @@ pub(super) struct Sending<'a> {
     /// The datagram that the transport has and has not sent.
     queued: Option<PacketIndex>,
     control: Control,
+    /// When the receiver was heard last.
+    heard_at: Nanos,
     /// When the sender's own queue on the path may have drained.
     gate_at: Nanos,
     counts: SenderCounts,
@@ -57,6 +62,7 @@ impl<'a> Sending<'a> {
             datagram_bytes,
             queued: None,
             control: if manifest == 0 { Control::Written } else { Control::Unopened(manifest) },
+            heard_at: Nanos::ZERO,
             gate_at: Nanos::MAX,
             counts: SenderCounts::default(),
             before,
@@ -90,7 +96,20 @@ impl<'a> Sending<'a> {
     }
 
     pub(super) fn next_time(&mut self) -> Nanos {
-        self.end.next_time().min(self.gate_at).min(self.outstanding.next_time())
+        let due = self.outstanding.next_time().min(self.expires_at());
+        self.end.next_time().min(self.gate_at).min(due)
+    }
+
+    /// When what is left of a burst is known to be lost: once nothing is out for the transport, an
+    /// acknowledgement of something later, which would tell, cannot come.
+    fn expires_at(&self) -> Nanos {
+        if self.watch.look().in_flight() > 0 { Nanos::MAX } else { self.outstanding.expires_at(self.silence()) }
+    }
+
+    /// What the transport knows to be settled and no receipt names for so long is lost: receipts leave with
+    /// acknowledgements, or a moment later.
+    fn silence(&self) -> Nanos {
+        self.media.path().smoothed_rtt + RECEIPT_DELAY
     }
 
     /// Takes the receipts that have arrived, and what the transport has learnt or time has shown.
@@ -103,8 +122,14 @@ impl<'a> Sending<'a> {
             self.media.on_receipt(&receipt);
             news = true;
         }
-        if news || self.outstanding.next_time() <= now {
+        let expired = self.expires_at() <= now;
+        if news || expired {
+            self.heard_at = now;
+        }
+        if news || expired || self.outstanding.next_time() <= now {
             self.outstanding.settle(&mut self.media, now);
+            let silence = self.silence();
+            self.outstanding.expire(&mut self.media, silence, self.heard_at, now);
             self.media.look(facts(&mut self.end, &self.watch, self.datagram_bytes), now);
         }
     }
@@ -211,13 +236,13 @@ fn elicits(before: &FrameStats, after: &FrameStats) -> bool {
 
 fn facts(end: &mut End, watch: &Watch, datagram_bytes: u64) -> PathFacts {
     let Some(connection) = end.connection() else { return PathFacts::unknown(datagram_bytes) };
-    let smoothed_rtt = Clock::span(connection.rtt());
     let observed = watch.look();
+    let smoothed_rtt = expected_round_trip(Clock::span(connection.rtt()), observed.newest_round_trip());
     let window = Rate::over(Size(connection.congestion_state().window()), smoothed_rtt);
     PathFacts {
         rate: observed.path_rate().map_or(window, |path| window.min(path)),
         smoothed_rtt,
-        rtt_variation: observed.variation(),
+        rtt_variation: observed.variation().min(smoothed_rtt),
         minimum_rtt: Clock::span(connection.min_rtt()),
         in_flight: observed.in_flight(),
         datagram_bytes,

@@ -90,7 +90,7 @@ impl FromStr for Condition {
         let at = text.find(['<', '>']).ok_or_else(refused)?;
         let (name, rest) = text.split_at(at);
         let order = if rest.starts_with('<') { Ordering::Less } else { Ordering::Greater };
-        let number = rest.trim_start_matches(['<', '>']);
+        let number = &rest[1..];
         let (or_equal, number) = match number.strip_prefix('=') {
             Some(number) => (true, number),
             None => (false, number),
@@ -128,7 +128,7 @@ fn opacity(logit: f32) -> f32 {
 /// The Gaussians that are inside of `bounds` at any frame.
 ///
 /// # Errors
-/// None is.
+/// No Gaussian is.
 pub fn crop(scene: &Scene, bounds: &Bounds) -> Result<Scene, EditError> {
     selected(scene, "crop", |epoch, t, i| {
         bounds.hold(&epoch.attributes().positions.frame(t, epoch.count())[i])
@@ -138,7 +138,7 @@ pub fn crop(scene: &Scene, bounds: &Bounds) -> Result<Scene, EditError> {
 /// The Gaussians that meet `condition` at any frame.
 ///
 /// # Errors
-/// None does.
+/// No Gaussian does.
 pub fn filter(scene: &Scene, condition: &Condition) -> Result<Scene, EditError> {
     selected(scene, "filter", |epoch, t, i| condition.is_met(epoch, t, i))
 }

@@ -64,7 +64,7 @@ fn constant(loss: LossModel) -> Vec<(Rate, PathConfig)> {
     let pairs = rates.into_iter().flat_map(|rate| delays.map(|delay| (rate, delay)));
     pairs
         .map(|(rate, delay)| {
-            let queue = queue(rate, Nanos::from_ms(200));
+            let queue = QueueLimit::lasting(Nanos::from_ms(200), rate);
             let capacity = Capacity::Constant(rate);
             (rate, PathConfig { capacity, queue, loss, delay, ..PathConfig::default() })
         })
@@ -83,14 +83,9 @@ fn windows(setup: &Setup, bench: &mut Bench) -> Result<Vec<(Rate, PathConfig)>> 
             };
             let rate = cut.mean_rate().clamp(Rate::from_mbps(1), Rate::from_mbps(20));
             let cut = cut.scaled(rate.0, cut.mean_rate().0)?;
-            let queue = queue(rate, Nanos::from_ms(300));
+            let queue = QueueLimit::lasting(Nanos::from_ms(300), rate);
             found.push((rate, PathConfig { capacity: Capacity::Trace(cut), queue, ..PathConfig::default() }));
         }
     }
     Ok(found)
-}
-
-/// A queue of `span` at `rate`, at least ten datagrams.
-fn queue(rate: Rate, span: Nanos) -> QueueLimit {
-    QueueLimit { bytes: rate.bytes_in(span).0.max(15_000), ..QueueLimit::default() }
 }

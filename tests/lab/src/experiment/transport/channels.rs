@@ -137,7 +137,7 @@ impl Channel {
             cut => cut.with_context(|| self.trace.name().to_owned())?,
         };
         let cut = cut.scaled(wanted(graph).0, cut.mean_rate().0)?;
-        let queue = cut.mean_rate().bytes_in(Nanos::from_ms(500)).0.max(15_000);
+        let queue = QueueLimit::lasting(Nanos::from_ms(500), cut.mean_rate());
         // Bursts of three datagrams on average.
         let leave_bad = 1.0 / 3.0;
         let burst = LossModel::GilbertElliott {
@@ -148,7 +148,7 @@ impl Channel {
         };
         let forward = PathConfig {
             capacity: Capacity::Trace(cut),
-            queue: QueueLimit { bytes: queue, ..QueueLimit::default() },
+            queue,
             loss: if loss > 0.0 { burst } else { LossModel::None },
             ..PathConfig::default()
         };
