@@ -40,10 +40,15 @@ use self::{
     train::Train,
 };
 
+/// What programs that call this one go by.
+const EXIT_STATUS: &str = "Exit status: 0 fine, 1 refused (nothing was written), 2 done, but not all of it \
+                           (damaged input used as far as it goes, an interrupted training, what a server did \
+                           not grant), 64 not a command, 130 interrupted";
+
 /// Dynamic Gaussian splats that stay renderable when delivery is incomplete: encode, send over a
 /// lossy link, decode what arrived, render, measure.
 #[derive(Debug, Parser)]
-#[command(name = "dgs", version, max_term_width = 100)]
+#[command(name = "dgs", version, max_term_width = 100, after_help = EXIT_STATUS)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]

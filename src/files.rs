@@ -68,10 +68,11 @@ pub(crate) fn check_stream(path: &Path, others: &[&Path]) -> Result<()> {
     check_apart(path, others)
 }
 
-/// Refuses to write a file that is one of `others`, which are read or written besides.
+/// Refuses to write a file that is one of `others`, which are read or written besides, or a folder that one of
+/// them is in.
 ///
 /// # Errors
-/// That `path` is one of them.
+/// That `path` is one of them, or which one is in it.
 pub(crate) fn check_apart(path: &Path, others: &[&Path]) -> Result<()> {
     let resolved = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let is_path = |other: &&&Path| fs::canonicalize(other).map_or(**other == path, |other| other == resolved);
@@ -79,8 +80,18 @@ pub(crate) fn check_apart(path: &Path, others: &[&Path]) -> Result<()> {
     if fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
         return Ok(());
     }
-    match others.iter().find(is_path) {
-        Some(_) => bail!("{}: is read or written besides; name another file", path.display()),
+    if others.iter().any(|other| is_path(&other)) {
+        bail!("{}: is read or written besides; name another file", path.display());
+    }
+    let is_inside = |other: &&&Path| {
+        fs::canonicalize(other).is_ok_and(|other| resolved.is_dir() && other.starts_with(&resolved))
+    };
+    match others.iter().find(is_inside) {
+        Some(other) => bail!(
+            "{}: holds {}, which is read or written besides; name another folder",
+            path.display(),
+            other.display()
+        ),
         None => Ok(()),
     }
 }
@@ -273,6 +284,12 @@ impl FrameFolder {
     /// Says of pictures, for people, which cameras they are rendered from.
     pub(crate) fn name_cameras(&mut self, description: String) {
         self.index.cameras = Some(description);
+    }
+
+    /// Says of scenes how fast they play, and whether row `i` of each frame is row `i` of the next.
+    pub(crate) fn name_clip(&mut self, frames_per_second: f64, identity_stored: bool) {
+        (self.index.frames_per_second, self.index.identity_stored) =
+            (Some(frames_per_second), identity_stored);
     }
 
     /// Gives the folder its name, and says how many frames it holds.

@@ -1,7 +1,8 @@
 //! Ends a program: parses what was typed, prints what a verb says, turns both into an exit status.
 //!
-//! Exit status: 0 fine, 1 refused, 2 damaged input used as far as it goes, 64 not a command
-//! (`EX_USAGE` of sysexits.h). A reader that closes the pipe early is no error; a full disk is.
+//! Exit status: 0 fine, 1 refused, 2 done, but not all of it (damaged input used as far as it goes, training
+//! that was interrupted, conditions that a server did not grant, shards that are missing), 64 not a command
+//! (`EX_USAGE` of sysexits.h), 130 interrupted. A reader that closes the pipe early is no error; a full disk is.
 
 use std::{
     io::{self, ErrorKind, Write as _},
@@ -13,7 +14,7 @@ use clap::Parser;
 
 /// Nothing was done: the input or an option was refused, or writing failed.
 const REFUSED: u8 = 1;
-/// Something was done with damaged input, as far as it goes.
+/// Something was done, but not all of it.
 const DAMAGED: u8 = 2;
 /// What was typed is not a command of this program.
 const USAGE: u8 = 64;

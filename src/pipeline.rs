@@ -92,7 +92,7 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
     let options = |keep_readable: bool| import::ImportOptions {
         limits: import::Limits { keep_readable, ..limits },
         identity: if args.identity_stored { import::Identity::Stored } else { import::Identity::PerFrame },
-        frames_per_second: args.frames_per_second(),
+        frames_per_second: args.fps,
         gltf: import::gltf::GltfOptions {
             clip: clip(),
             frames_per_second: args.frames_per_second(),

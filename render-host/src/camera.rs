@@ -228,7 +228,7 @@ impl Camera {
         let intrinsics = Intrinsics::from_fov_y(fov_y, width, height)?;
         let forward = unit(sub(target, eye)).ok_or(CameraError::Direction("target - eye"))?;
         let up = unit(up).ok_or(CameraError::Direction("up"))?;
-        let right = unit(cross(forward, up)).ok_or(CameraError::Direction("up across the view"))?;
+        let right = unit(cross(forward, up)).ok_or(CameraError::Direction(CameraError::ALONG_UP))?;
         let rotation = [right, cross(forward, right), forward];
         let translation = rotation.map(|row| -dot(row, eye));
         Self::new(intrinsics, rotation, translation)

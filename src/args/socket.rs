@@ -3,7 +3,10 @@
 use std::{net::SocketAddr, path::PathBuf};
 
 use clap::Args;
-use dgs_quic::socket::{DEFAULT_PORT, Locator, Pin};
+use dgs_quic::{
+    http::HeaderValue,
+    socket::{DEFAULT_PORT, Locator, Pin},
+};
 
 use super::{
     CameraArgs, CodecArgs, PolicyName, SceneArgs, ViewArgs,
@@ -14,6 +17,14 @@ use crate::pictures::VideoCodec;
 /// Where it listens when nothing is said: here alone.
 fn here() -> SocketAddr {
     ([127, 0, 0, 1], DEFAULT_PORT).into()
+}
+
+/// An origin as browsers send it (RFC 6454, 6.1), or `*`.
+fn origin(text: &str) -> Result<HeaderValue, String> {
+    let host = text.strip_prefix("https://").or_else(|| text.strip_prefix("http://"));
+    let is_host = host.is_some_and(|host| !host.is_empty() && !host.contains(['/', '?', '#', '*', ' ']));
+    let header = HeaderValue::from_str(text).ok().filter(|_| text == "*" || is_host);
+    header.ok_or_else(|| "https://HOST[:PORT], http://HOST[:PORT] or * is allowed".to_owned())
 }
 
 /// `dgs serve`.
@@ -49,6 +60,10 @@ pub struct Serve {
     /// Serve no page.
     #[arg(long)]
     pub no_http: bool,
+    /// Let pages of this origin read the streams over HTTP, such as https://example.org, or * for any; else
+    /// browsers show them to the page of this server alone.
+    #[arg(long, value_name = "ORIGIN", value_parser = origin, conflicts_with = "no_http")]
+    pub allow_origin: Option<HeaderValue>,
     /// Name or address that viewers use, for the URL and the certificate [default: the address listened on].
     #[arg(long, value_name = "NAME")]
     pub host: Option<String>,

@@ -62,6 +62,7 @@ struct MetricSummary {
 pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
     if let Some(out) = &args.out {
         FrameFolder::check(out, args.overwrite)?;
+        files::check_apart(out, &[Path::new(&args.a), Path::new(&args.b)])?;
     }
     let network = args.lpips.as_deref().map(lpips).transpose()?;
     let backend = Backend::open(args.device.into()).context("--device")?;
@@ -69,7 +70,7 @@ pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     let mut open = |input: &str| Side::open(input, &args.scene, level, &mut |w| warnings.push(w));
     let (mut a, mut b) = (open(&args.a)?, open(&args.b)?);
-    let turned = side::turned_alike(args, &mut a, &b)?;
+    let turned = side::turned_alike(args, &mut a, &mut b)?;
     let Chosen { pairs, cameras, notes: doubts } = pairs::choose(args, &mut a, &mut b)?;
     let settings = pipeline::settings(&args.view);
 

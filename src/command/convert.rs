@@ -33,10 +33,12 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let only = output.only(args.frame)?;
     let progress = Progress::new("convert", quiet.0);
     let mut warnings = Vec::new();
-    let scene = read(&args.input, &args.scene, &mut |w| warnings.push(w))?;
+    let (alone, only) = (alone(args, output).then_some(only), only);
+    let scene = read(&args.input, &args.scene, alone, &progress, &mut |w| warnings.push(w))?;
+    let only = if alone.is_some() && scene.frames() == 1 { 0 } else { only };
     progress.stage("editing", 0.3);
     let before = (scene.max_count(), scene.frames());
-    let scene = edited(args, scene, &mut warnings)?;
+    let scene = edited(args, scene, &progress, &mut warnings)?;
     let damaged = !warnings.is_empty();
     progress.stage("turning", 0.5);
     let (scene, turned) = turned(args, scene, output.usual_up())?;
@@ -54,7 +56,14 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
         SceneOutput::FourDgs => format::write_clip(&scene, &args.out)?,
         _ => {
             let Scene { footprint, .. } = scene;
-            let run = FrameRun { overwrite: args.overwrite, only, count, footprint };
+            let run = FrameRun {
+                overwrite: args.overwrite,
+                only,
+                count,
+                footprint,
+                frames_per_second: scene.frames_per_second(),
+                identity_stored: scene.epochs().len() == 1,
+            };
             output.write(&args.out, run, &progress, frame)?
         }
     };
@@ -82,8 +91,20 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     Ok(VerbOutput { text, json, warnings, damaged })
 }
 
-/// The scene of `input`; a stream is decoded.
-fn read(input: &str, args: &SceneArgs, warn: &mut dyn FnMut(String)) -> Result<Scene> {
+/// Whether one frame is written that depends on no other: what is chosen is chosen over all frames.
+fn alone(args: &Convert, output: SceneOutput) -> bool {
+    let chooses = args.crop.is_some() || !args.filter.is_empty() || args.decimate.is_some();
+    matches!(output, SceneOutput::File(_)) && args.merge.is_empty() && args.frames.is_none() && !chooses
+}
+
+/// The scene of `input`; a stream is decoded, of which only frame `only` if that is all that is needed.
+fn read(
+    input: &str,
+    args: &SceneArgs,
+    only: Option<u32>,
+    progress: &Progress,
+    warn: &mut dyn FnMut(String),
+) -> Result<Scene> {
     let last = Level::HIGHEST;
     let mut frames = match Frames::open(input, args, last, warn)? {
         Frames::Scene(scene) => return Ok(*scene),
@@ -91,7 +112,10 @@ fn read(input: &str, args: &SceneArgs, warn: &mut dyn FnMut(String)) -> Result<S
     };
     let mut epochs = Vec::new();
     let mut left_out = LeftOut::default();
-    for frame in 0..frames.count() {
+    // One that is not there is refused by its number later.
+    let decoded = only.filter(|only| *only < frames.count()).map_or(0..frames.count(), |only| only..only + 1);
+    for frame in decoded.clone() {
+        progress.step("decoding", (frame - decoded.start) as usize, decoded.len());
         let instant = frames.instant(frame)?;
         let (epoch, missing) = decoded::snapshot(&instant)?;
         left_out.add(missing, instant.gaussians.len());
@@ -106,13 +130,19 @@ fn read(input: &str, args: &SceneArgs, warn: &mut dyn FnMut(String)) -> Result<S
 }
 
 /// The scene with what is typed done to it, in the order of the help.
-fn edited(args: &Convert, mut scene: Scene, warnings: &mut Vec<String>) -> Result<Scene> {
+fn edited(
+    args: &Convert,
+    mut scene: Scene,
+    progress: &Progress,
+    warnings: &mut Vec<String>,
+) -> Result<Scene> {
     if let Some(range) = args.frames {
         let range = range.within(scene.frames() as u32)?;
         scene = edit::frames(&scene, range.start as usize, range.end as usize - 1)?;
     }
     for other in &args.merge {
-        let other_scene = read(other, &args.scene, &mut |w| warnings.push(w)).context("--merge")?;
+        let other_scene =
+            read(other, &args.scene, None, progress, &mut |w| warnings.push(w)).context("--merge")?;
         let turn = turn_between(other_scene.up, scene.up);
         let other_scene =
             edit::transform(&other_scene, &Similarity { rotation: turn, ..Similarity::default() })?;

@@ -55,6 +55,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
         counters.recovered
     );
     let degree = stream.manifest()?.sh_degree();
+    let epochs = stream.manifest()?.epochs().count();
     let mut frames = Frames::of_stream(received, Level::from_bits(args.level), None);
     let mut json = json!({
         "file": files::shown(&args.input), "out": args.out.as_deref().map(files::shown),
@@ -77,6 +78,8 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
             only: output.only(args.frame)?,
             count: frames.count(),
             footprint: frames.footprint(),
+            frames_per_second: frames.frames_per_second(),
+            identity_stored: epochs == 1,
         };
         text += &output.write(out, run, &progress, |frame| {
             let instant = frames.instant(frame)?;

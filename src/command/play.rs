@@ -224,7 +224,8 @@ fn draw(
     let run = PictureRun { pictures: states.len(), frames_per_second, overwrite: args.overwrite };
     let writer = output.filter(|_| !states.is_empty());
     let mut writer = writer.map(|(out, output)| PictureWriter::begin(out, output, run)).transpose()?;
-    let shown: Vec<(u32, Option<&[u8]>)> = states.iter().map(|(frame, state)| (*frame, Some(&**state))).collect();
+    let shown: Vec<(u32, Option<&[u8]>)> =
+        states.iter().map(|(frame, state)| (*frame, Some(&**state))).collect();
     let mut psnr_db = BTreeMap::new();
     let progress = Progress::new("play", quiet.0);
     for (at, part) in shown.chunks(PICTURES_AT_ONCE).enumerate() {

@@ -1,6 +1,6 @@
 //! Renders a scene or a stream to pictures or video: from cameras of a file, of the scene, or around it.
 
-use std::ops::Range;
+use std::{ops::Range, path::Path};
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
@@ -37,6 +37,7 @@ struct Chosen {
 pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     let output = PictureOutput::of(&args.out, args.video_codec)?;
     output.check(&args.out, args.overwrite)?;
+    files::check_apart(&args.out, &[Path::new(&args.input)])?;
     let is_transparent = args.view.background == RenderBackground::Transparent;
     if is_transparent {
         output.check_transparent(&args.out)?;

@@ -177,7 +177,10 @@ async fn serve(
         stream.web_address = Some(web.to_string());
         urls.push(url);
     }
-    let site = Site::new(asset, &streams, Some(server.pin()))?;
+    let mut site = Site::new(asset, &streams, Some(server.pin()))?;
+    if let Some(origin) = &args.allow_origin {
+        site = site.with_allowed_origin(origin.clone());
+    }
     let http = if args.no_http {
         None
     } else {

@@ -10,7 +10,7 @@ use std::{
 
 use anyhow::{Context, Result, bail};
 use render_host::{
-    Camera,
+    Camera, CameraError,
     camera::{
         View, blender,
         colmap::{self, Format},
@@ -165,7 +165,13 @@ fn placed(typed: &CameraArgs, size: (u32, u32), around: &mut Surroundings<'_>) -
     if let Some(eye) = typed.eye {
         let framing = (around.framing)()?;
         let target = typed.target.unwrap_or(framing.target);
-        let camera = Camera::look_at(eye, target, framing.up, degrees.to_radians(), size.0, size.1);
+        let looking = |up| Camera::look_at(eye, target, up, degrees.to_radians(), size.0, size.1);
+        // Straight down or up, no direction of the picture is up: then one across is.
+        let across = if framing.up[2] == 0.0 { [0.0, 0.0, 1.0] } else { [0.0, 1.0, 0.0] };
+        let camera = looking(framing.up).or_else(|error| match error {
+            CameraError::Direction(CameraError::ALONG_UP) => looking(across),
+            error => Err(error),
+        });
         let camera = camera.context("--eye, --target, --up")?;
         let description = format!("1 camera at {eye:?}, up {}", around.up);
         return Ok(Some(Viewpoints { views: unnamed(vec![camera]), description, showing: Showing::Clip }));

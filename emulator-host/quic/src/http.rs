@@ -13,5 +13,6 @@ mod site;
 mod tests;
 mod upgrade;
 
+pub use hyper::header::HeaderValue;
 pub use server::{HttpConfig, HttpError, HttpLimits, HttpReport, HttpServer};
 pub use site::{Assets, Site, SiteError, SiteStream};

@@ -135,3 +135,8 @@ impl CameraError {
         Self::Of { name: name.to_owned(), source: Box::new(self) }
     }
 }
+
+impl CameraError {
+    /// What [`CameraError::Direction`] names where the view is along the direction that is to be up.
+    pub const ALONG_UP: &'static str = "up across the view";
+}

@@ -39,6 +39,10 @@ export class Engine extends EventTarget {
   #resizes;
   #slow = 0;
   #scale = 1;
+  // Seconds of frames that came quickly, how many are enough for more pixels, and whether there were more of late.
+  #quickS = 0;
+  #quickEnoughS = 5;
+  #widened = false;
   #closed = false;
   /** Device pixels per CSS pixel; `null` for the display's own, lowered where frames come slowly. */
   pixelRatio = null;
@@ -172,12 +176,20 @@ export class Engine extends EventTarget {
     }
   }
 
-  // Where frames come slowly, fewer pixels are drawn.
+  // Where frames come slowly, fewer pixels are drawn; once they have come quickly for a while, more again, and
+  // after each time that that was too much, twice as long is waited.
   #keepUp(passed) {
-    this.#slow = passed > SLOW_S ? this.#slow + 1 : 0;
-    if (this.#slow >= SLOW_FRAMES && this.pixelRatio === null && this.#scale > SMALLEST_SCALE) {
+    if (passed === 0 || this.pixelRatio !== null) return;
+    const slow = passed > SLOW_S;
+    this.#slow = slow ? this.#slow + 1 : 0;
+    this.#quickS = slow ? 0 : this.#quickS + passed;
+    if (this.#slow >= SLOW_FRAMES && this.#scale > SMALLEST_SCALE) {
       this.#scale = Math.max(SMALLEST_SCALE, this.#scale * 0.75);
-      this.#slow = 0;
+      if (this.#widened) this.#quickEnoughS *= 2;
+      [this.#slow, this.#quickS, this.#widened] = [0, 0, false];
+    } else if (this.#quickS > this.#quickEnoughS && this.#scale < 1) {
+      this.#scale = Math.min(1, this.#scale / 0.75);
+      [this.#quickS, this.#widened] = [0, true];
     }
   }
 

@@ -66,28 +66,33 @@ impl Side {
     }
 }
 
-/// Turns scene A into the axes of B where other directions are up in them, and says so; of a stream, that it
-/// does not.
+/// Turns scene A into the axes of B, or scene B into those of the stream A, where other directions are up in
+/// them, and says so; of two streams, that it does not.
 ///
 /// # Errors
 /// Positions that do not stay finite.
-pub(super) fn turned_alike(args: &Compare, a: &mut Side, b: &Side) -> Result<Option<String>> {
+pub(super) fn turned_alike(args: &Compare, a: &mut Side, b: &mut Side) -> Result<Option<String>> {
     let (Side::Frames(of_a), Side::Frames(of_b)) = (a, b) else { return Ok(None) };
-    let (from, to) = (of_a.up(), of_b.up());
-    if from == to {
+    let (up_of_a, up_of_b) = (of_a.up(), of_b.up());
+    if up_of_a == up_of_b {
         return Ok(None);
     }
     let (a, b) = (&args.a, &args.b);
-    let Frames::Scene(of_a) = &mut **of_a else {
-        return Ok(Some(format!(
-            "{a} has {from} up, {b} {to}: a stream is not turned; dgs convert turns it"
-        )));
+    let (scene, (name, from), (other, to)) = match (&mut **of_a, &mut **of_b) {
+        (Frames::Scene(scene), _) => (scene, (a, up_of_a), (b, up_of_b)),
+        (Frames::Stream { .. }, Frames::Scene(scene)) => (scene, (b, up_of_b), (a, up_of_a)),
+        (Frames::Stream { .. }, Frames::Stream { .. }) => {
+            return Ok(Some(format!(
+                "{a} has {up_of_a} up, {b} {up_of_b}: a stream is not turned; dgs convert turns it"
+            )));
+        }
     };
     let rotation = turn_between(from, to);
-    let turned = edit::transform(of_a, &Similarity { rotation, ..Similarity::default() })?;
-    **of_a = turned;
-    of_a.up = to;
-    Ok(Some(format!("{a} is turned: {from} is up in it, {to} in {b}; --up of both leaves axes as they are")))
+    **scene = edit::transform(scene, &Similarity { rotation, ..Similarity::default() })?;
+    scene.up = to;
+    Ok(Some(format!(
+        "{name} is turned: {from} is up in it, {to} in {other}; --up of both leaves axes as they are"
+    )))
 }
 
 /// The pictures of a folder, numbers in their names counted as numbers.

@@ -37,6 +37,9 @@ pub(in crate::command) struct FrameRun {
     /// Frames that a folder gets.
     pub(in crate::command) count: u32,
     pub(in crate::command) footprint: Footprint,
+    pub(in crate::command) frames_per_second: f64,
+    /// Whether row `i` of each frame is row `i` of the next.
+    pub(in crate::command) identity_stored: bool,
 }
 
 impl SceneOutput {
@@ -125,12 +128,13 @@ impl SceneOutput {
         progress: &Progress,
         mut frame: impl FnMut(u32) -> Result<(E, usize)>,
     ) -> Result<String> {
-        let FrameRun { overwrite, only, count, footprint } = run;
+        let FrameRun { overwrite, only, count, footprint, .. } = run;
         let format = match self {
             Self::File(format) => format,
             Self::FourDgs => bail!("{}: .4dgs is written by dgs convert", out.display()),
             Self::Folder => {
                 let mut folder = FrameFolder::create(out, overwrite)?;
+                folder.name_clip(run.frames_per_second, run.identity_stored);
                 for number in 0..count {
                     progress.step("writing frame", number as usize, count as usize);
                     let (epoch, t) = frame(number)?;

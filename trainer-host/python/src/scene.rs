@@ -170,14 +170,14 @@ impl Scene {
     /// Reads a file or a folder of numbered files.
     #[staticmethod]
     #[pyo3(signature = (
-        path, *, fps = 30.0, samples = 20_000, clip = None, seed = 1, identity_stored = false,
+        path, *, fps = None, samples = 20_000, clip = None, seed = 1, identity_stored = false,
         keep_readable = false, max_gaussians = 5_000_000, up = None
     ))]
     #[allow(clippy::too_many_arguments, reason = "keyword arguments of Python")]
     pub fn load(
         py: Python<'_>,
         path: PathBuf,
-        fps: f64,
+        fps: Option<f64>,
         samples: i128,
         clip: Option<String>,
         seed: i128,
@@ -186,7 +186,7 @@ impl Scene {
         max_gaussians: i128,
         up: Option<&str>,
     ) -> PyResult<Self> {
-        let (up, fps) = (up.map(up_of).transpose()?, checked_rate(fps)?);
+        let (up, fps) = (up.map(up_of).transpose()?, fps.map(checked_rate).transpose()?);
         let (samples, seed) = (whole("samples", samples)?, whole("seed", seed)?);
         let max_gaussians = whole("max_gaussians", max_gaussians)?;
         if !path.exists() {
@@ -204,7 +204,8 @@ impl Scene {
         let limits = Limits { max_gaussians, keep_readable, ..Limits::default() };
         let identity = if identity_stored { import::Identity::Stored } else { import::Identity::PerFrame };
         let clip = clip.map_or(gltf::Clip::First, gltf::Clip::Name);
-        let mesh = gltf::GltfOptions { clip, frames_per_second: fps, samples, seed, ..Default::default() };
+        let frames_per_second = fps.unwrap_or(import::FRAMES_PER_SECOND);
+        let mesh = gltf::GltfOptions { clip, frames_per_second, samples, seed, ..Default::default() };
         let options = ImportOptions {
             limits,
             identity,
@@ -387,12 +388,12 @@ impl Scene {
 
 /// Reads a scene and writes it as the ending of the other path says.
 #[pyfunction]
-#[pyo3(signature = (source, target, *, fps = 30.0, frame = 0, keep_axes = false, up = None))]
+#[pyo3(signature = (source, target, *, fps = None, frame = 0, keep_axes = false, up = None))]
 pub fn convert(
     py: Python<'_>,
     source: PathBuf,
     target: PathBuf,
-    fps: f64,
+    fps: Option<f64>,
     frame: i64,
     keep_axes: bool,
     up: Option<&str>,

@@ -14,7 +14,7 @@ use super::{
 use crate::scene::Scene;
 
 /// Finest and coarsest factor on the steps that is tried.
-pub const COARSENESS: (f32, f32) = (1.0 / 16.0, 64.0);
+pub const COARSENESS: (f32, f32) = (1.0 / 16.0, 1024.0);
 /// Shortest and longest factor on the steps of motion alone that is tried.
 const MOTION_STEPS: (f64, f64) = (1.0 / 16.0, 16.0);
 /// Most encodings of a search.

@@ -27,6 +27,7 @@ pub mod fourdgs;
 pub mod gltf;
 mod gltf_buffers;
 pub mod gltf_splats;
+mod gsplat_npz;
 pub mod ksplat;
 mod limits;
 mod meshopt;
@@ -52,19 +53,30 @@ pub use snapshot::Snapshot;
 
 use crate::scene::{Scene, Up};
 
+/// Frame rate where nothing says one.
+pub const FRAMES_PER_SECOND: f64 = 30.0;
+
 /// How to import.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImportOptions {
     /// What is accepted.
     pub limits: Limits,
-    /// What is known of numbered sequences.
+    /// What is known of numbered sequences that do not say it themselves.
     pub identity: Identity,
-    /// Frame rate of numbered sequences and of single files.
-    pub frames_per_second: f64,
+    /// Frame rate of numbered sequences and of single files; without it what the sequence says, or
+    /// [`FRAMES_PER_SECOND`].
+    pub frames_per_second: Option<f64>,
     /// How animated meshes are sampled.
     pub gltf: gltf::GltfOptions,
     /// Times from 0 to 1 at which a deformation field is evaluated.
     pub deformation_frames: usize,
+}
+
+impl ImportOptions {
+    /// Frames per second of what does not say it.
+    fn rate(&self) -> f64 {
+        self.frames_per_second.unwrap_or(FRAMES_PER_SECOND)
+    }
 }
 
 impl Default for ImportOptions {
@@ -72,7 +84,7 @@ impl Default for ImportOptions {
         Self {
             limits: Limits::default(),
             identity: Identity::default(),
-            frames_per_second: 30.0,
+            frames_per_second: None,
             gltf: gltf::GltfOptions::default(),
             deformation_frames: deformation::DEFAULT_FRAMES,
         }
@@ -113,21 +125,18 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
             let beside = |name: &str| read_beside(path, name, options, Format::Gltf);
             gltf::parse(&bytes, beside, &options.gltf, &options.limits).map_err(in_file)
         }
-        Format::PointsNpz => {
-            points_npz::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file)
-        }
-        Format::DynamicNpz => {
-            dynamic_npz::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file)
-        }
+        Format::PointsNpz => points_npz::parse(&bytes, options.rate(), &options.limits).map_err(in_file),
+        Format::GsplatNpz => gsplat_npz::parse(&bytes, options.rate(), &options.limits).map_err(in_file),
+        Format::DynamicNpz => dynamic_npz::parse(&bytes, options.rate(), &options.limits).map_err(in_file),
         Format::Deformation => field(&bytes, path, options).map_err(in_file),
         Format::FourDgs => {
             // It says itself which way is up.
-            return fourdgs::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file);
+            return fourdgs::parse(&bytes, options.rate(), &options.limits).map_err(in_file);
         }
-        Format::Splatv => splatv::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file),
+        Format::Splatv => splatv::parse(&bytes, options.rate(), &options.limits).map_err(in_file),
         _ => {
             let frame = snapshot_of(&bytes, path, options)?;
-            sequence::assemble(vec![(path.to_owned(), frame)], options.identity, options.frames_per_second)
+            sequence::assemble(vec![(path.to_owned(), frame)], options.identity, options.rate())
                 .map_err(in_file)
         }
     }?;
@@ -148,8 +157,10 @@ fn of_one_level(folder: &Path) -> ImportError {
 }
 
 /// What to do about a checkpoint: to read it is to run it, which is left to the program that wrote it.
-const UNPICKLE: &str = "the PLY that its trainer exports, or an npz of its arrays:\n  \
-    import numpy, torch; params = torch.load(\"FILE\", map_location=\"cpu\")\n  \
+const UNPICKLE: &str = "the PLY that its trainer exports, or an npz of its arrays (gsplat's; Dynamic 3D \
+    Gaussians'; deformation fields):\n  \
+    import numpy, torch; params = torch.load(\"FILE\", map_location=\"cpu\"); \
+    params = params.get(\"splats\", params)\n  \
     numpy.savez(\"params.npz\", **{name: value.detach().numpy() for name, value in params.items()})\n";
 
 /// Whether `bytes` are a checkpoint of torch: pickled, alone or in a zip.
@@ -167,7 +178,9 @@ pub fn usual_up(format: Format) -> Option<Up> {
     match format {
         Format::Spz | Format::Gltf | Format::GltfSplats => Some(Up::Y),
         Format::Ply | Format::CompressedPly | Format::Splat | Format::Sog | Format::Unity => Some(Up::MinusY),
-        Format::Ksplat | Format::Splatv | Format::DynamicNpz | Format::Deformation => Some(Up::MinusY),
+        Format::Ksplat | Format::Splatv | Format::DynamicNpz | Format::GsplatNpz | Format::Deformation => {
+            Some(Up::MinusY)
+        }
         Format::PointsNpz | Format::FourDgs | Format::Sequence | Format::Unknown => None,
     }
 }
@@ -201,6 +214,7 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
         match names {
             Ok(a) if a.has("meta.json") => Format::Sog,
             Ok(a) if a.has(dynamic_npz::MARK) => Format::DynamicNpz,
+            Ok(a) if gsplat_npz::MARKS.iter().all(|mark| a.has(mark)) => Format::GsplatNpz,
             Ok(a) if a.has("means3d.npy") => Format::PointsNpz,
             Ok(_) if deformation::is_field(bytes) => Format::Deformation,
             _ if extension == "npz" => Format::PointsNpz,
@@ -240,7 +254,7 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
 }
 
 fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
-    let (files, notes) = sequence::files(path, &options.limits)?;
+    let sequence::Files { files, notes, index } = sequence::files(path, &options.limits)?;
     let mut left = options.limits.max_bytes;
     let mut frames = Vec::with_capacity(files.len());
     let mut up = None;
@@ -257,7 +271,11 @@ fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
         })?;
         frames.push((file, frame));
     }
-    let mut scene = sequence::assemble(frames, options.identity, options.frames_per_second)?;
+    let is_stored = index.as_ref().is_some_and(|index| index.identity_stored);
+    let identity = if is_stored { Identity::Stored } else { options.identity };
+    let written = index.and_then(|index| index.frames_per_second);
+    let rate = options.frames_per_second.or(written).unwrap_or(FRAMES_PER_SECOND);
+    let mut scene = sequence::assemble(frames, identity, rate)?;
     scene.notes.extend(notes);
     Ok(Scene { usual_up: up, ..scene })
 }
@@ -306,7 +324,7 @@ fn field(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Scene, Im
     let (gaussians, arguments) = (first_of(&gaussians)?, first_of(&arguments)?);
     let beside = deformation::Beside { gaussians: gaussians.as_deref(), options: arguments.as_deref() };
     let frames = options.deformation_frames;
-    deformation::parse(bytes, beside, frames, options.frames_per_second, &options.limits)
+    deformation::parse(bytes, beside, frames, options.rate(), &options.limits)
 }
 
 /// Reads one still file of any format that is one.

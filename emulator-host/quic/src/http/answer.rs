@@ -5,8 +5,10 @@ use http_body_util::Full;
 use hyper::{
     HeaderMap, Method, Response, StatusCode,
     header::{
-        ACCEPT_RANGES, ALLOW, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE, ETAG, HeaderName,
-        IF_NONE_MATCH, IF_RANGE, RANGE, X_CONTENT_TYPE_OPTIONS,
+        ACCEPT_ENCODING, ACCEPT_RANGES, ACCESS_CONTROL_ALLOW_HEADERS, ACCESS_CONTROL_ALLOW_METHODS,
+        ACCESS_CONTROL_ALLOW_ORIGIN, ACCESS_CONTROL_EXPOSE_HEADERS, ACCESS_CONTROL_MAX_AGE, ALLOW,
+        CACHE_CONTROL, CONTENT_ENCODING, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE, ETAG, HeaderName,
+        HeaderValue, IF_NONE_MATCH, IF_RANGE, RANGE, VARY, X_CONTENT_TYPE_OPTIONS,
     },
     http,
 };
@@ -19,7 +21,7 @@ use super::{
 /// An answer and its bytes.
 pub(super) type Answer = Response<Full<Bytes>>;
 
-/// What `site` answers.
+/// What `site` answers; pages of others may read it if the site lets them (Fetch, 3.2).
 ///
 /// # Errors
 /// None in practice: every field is made of legal characters.
@@ -29,6 +31,25 @@ pub(super) fn answer(
     path: &str,
     fields: &HeaderMap,
 ) -> Result<Answer, http::Error> {
+    let Some(origin) = site.allowed_origin() else { return answer_own(site, method, path, fields) };
+    let mut answer = if *method == Method::OPTIONS {
+        Response::builder()
+            .status(StatusCode::NO_CONTENT)
+            .header(ACCESS_CONTROL_ALLOW_METHODS, "GET, HEAD")
+            .header(ACCESS_CONTROL_ALLOW_HEADERS, "Range, If-Range, If-None-Match")
+            .header(ACCESS_CONTROL_MAX_AGE, 86_400)
+            .body(Full::default())?
+    } else {
+        answer_own(site, method, path, fields)?
+    };
+    let shown = HeaderValue::from_static("Accept-Ranges, Content-Length, Content-Range, ETag");
+    answer.headers_mut().insert(ACCESS_CONTROL_EXPOSE_HEADERS, shown);
+    answer.headers_mut().insert(ACCESS_CONTROL_ALLOW_ORIGIN, origin.clone());
+    Ok(answer)
+}
+
+/// What `site` answers to its own pages.
+fn answer_own(site: &Site, method: &Method, path: &str, fields: &HeaderMap) -> Result<Answer, http::Error> {
     if *method != Method::GET && *method != Method::HEAD {
         return Response::builder()
             .status(StatusCode::METHOD_NOT_ALLOWED)
@@ -36,7 +57,7 @@ pub(super) fn answer(
             .header(CONTENT_LENGTH, 0)
             .body(Full::default());
     }
-    let Some(resource) = site.resource(path) else {
+    let Some(mut resource) = site.resource(path) else {
         let sentence = Bytes::from_static(b"there is nothing of this name; / lists the streams\n");
         return Response::builder()
             .status(StatusCode::NOT_FOUND)
@@ -44,8 +65,17 @@ pub(super) fn answer(
             .header(CONTENT_LENGTH, sentence.len())
             .body(body(method, sentence));
     };
+    // A range is one of the bytes as they are.
+    let compressed = site.compressed(path).filter(|_| takes_gzip(fields) && !fields.contains_key(RANGE));
+    let mut response = Response::builder();
+    if let Some(bytes) = compressed {
+        resource.tag = format!("{}-gzip\"", resource.tag.trim_end_matches('"'));
+        resource.bytes = bytes;
+        response = response.header(CONTENT_ENCODING, "gzip");
+    }
     // A page must not show a stream that is no longer served; the tag makes asking again cheap.
-    let response = Response::builder()
+    let response = response
+        .header(VARY, "Accept-Encoding")
         .header(ETAG, &resource.tag)
         .header(CACHE_CONTROL, "no-cache")
         .header(ACCEPT_RANGES, "bytes")
@@ -82,6 +112,16 @@ fn body(method: &Method, bytes: Bytes) -> Full<Bytes> {
     if *method == Method::HEAD { Full::default() } else { Full::new(bytes) }
 }
 
+/// Whether the client takes bytes compressed by gzip (RFC 9110, 12.5.3).
+fn takes_gzip(fields: &HeaderMap) -> bool {
+    let all = fields.get_all(ACCEPT_ENCODING).iter().filter_map(|field| field.to_str().ok());
+    all.flat_map(|field| field.split(',')).any(|coding| {
+        let mut parts = coding.split(';').map(str::trim);
+        let is_gzip = parts.next().is_some_and(|name| name.eq_ignore_ascii_case("gzip"));
+        is_gzip && !parts.any(|weight| matches!(weight, "q=0" | "q=0.0" | "q=0.00" | "q=0.000"))
+    })
+}
+
 /// Whether the client says that it has these bytes already.
 fn is_known(fields: &HeaderMap, resource: &Resource) -> bool {
     let tags = fields.get_all(IF_NONE_MATCH).iter().filter_map(|field| field.to_str().ok());
@@ -110,8 +150,6 @@ fn only(fields: &HeaderMap, name: HeaderName) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
-    use hyper::header::HeaderValue;
-
     use super::*;
     use crate::http::SiteStream;
 
@@ -131,6 +169,43 @@ mod tests {
 
     fn field(answer: &Answer, name: HeaderName) -> &str {
         answer.headers().get(name).map_or("", |value| value.to_str().unwrap())
+    }
+
+    #[test]
+    fn assets_are_compressed_for_who_takes_it_and_streams_are_not() {
+        let assets = |path: &str| {
+            (path == "a.js").then_some((&b"let a = 1; let b = 1; let c = 1;"[..], "text/javascript"))
+        };
+        let file = Some(Bytes::from_static(b"0123456789"));
+        let stream = SiteStream { name: "ten".to_owned(), address: None, web_address: None, file };
+        let site = Site::new(assets, &[stream], None).unwrap();
+        let ask = |path: &str, fields: &[(HeaderName, &str)]| {
+            let fields =
+                fields.iter().map(|(name, value)| (name.clone(), HeaderValue::from_str(value).unwrap()));
+            answer(&site, &Method::GET, path, &fields.collect()).unwrap()
+        };
+        let gzip = (ACCEPT_ENCODING, "br, gzip;q=0.8");
+        let packed = ask("/a.js", std::slice::from_ref(&gzip));
+        assert_eq!(field(&packed, CONTENT_ENCODING), "gzip");
+        let tag = field(&packed, ETAG).to_owned();
+        let plain = ask("/a.js", &[(ACCEPT_ENCODING, "gzip;q=0, br")]);
+        assert_eq!((field(&plain, CONTENT_ENCODING), field(&plain, CONTENT_LENGTH)), ("", "32"));
+        assert_ne!(field(&plain, ETAG), tag);
+        assert_eq!(ask("/a.js", &[gzip.clone(), (IF_NONE_MATCH, &tag)]).status().as_u16(), 304);
+        assert_eq!(field(&ask("/a.js", &[gzip.clone(), (RANGE, "bytes=0-3")]), CONTENT_LENGTH), "4");
+        assert_eq!(field(&ask("/streams/ten.dgs", &[gzip]), CONTENT_LENGTH), "10");
+    }
+
+    #[test]
+    fn pages_of_others_read_what_they_are_let_to() {
+        assert_eq!(field(&answered(Method::GET, &[]), ACCESS_CONTROL_ALLOW_ORIGIN), "");
+        assert_eq!(answered(Method::OPTIONS, &[]).status().as_u16(), 405);
+        let open = site().with_allowed_origin(HeaderValue::from_static("*"));
+        let ask = |method| answer(&open, &method, "/streams/ten.dgs", &HeaderMap::new()).unwrap();
+        assert_eq!(field(&ask(Method::GET), ACCESS_CONTROL_ALLOW_ORIGIN), "*");
+        let asked_before = ask(Method::OPTIONS);
+        assert_eq!(asked_before.status().as_u16(), 204);
+        assert!(field(&asked_before, ACCESS_CONTROL_ALLOW_HEADERS).contains("Range"));
     }
 
     #[test]

@@ -1,8 +1,15 @@
 //! Holds what a page's server serves, by path: assets of the page, streams, the list of streams, the pin.
 
-use std::{collections::BTreeMap, fmt::Write as _};
+use std::{
+    collections::BTreeMap,
+    fmt::Write as _,
+    io::Write as _,
+    sync::{Mutex, PoisonError},
+};
 
 use bytes::Bytes;
+use flate2::{Compression, write::GzEncoder};
+use hyper::header::HeaderValue;
 use serde::Serialize;
 
 use crate::socket::{Pin, message::is_name};
@@ -52,6 +59,10 @@ pub struct Site {
     assets: Assets,
     /// By path, with its leading slash.
     made: BTreeMap<String, Resource>,
+    /// Whose pages besides our own may read what is served.
+    allowed_origin: Option<HeaderValue>,
+    /// Assets that were asked for, by path, compressed by gzip.
+    compressed: Mutex<BTreeMap<String, Bytes>>,
 }
 
 /// The bytes of one path.
@@ -120,7 +131,34 @@ impl Site {
             let resource = Resource::new(pin.to_string().into(), "text/plain; charset=utf-8");
             made.insert("/certificate.sha256".to_owned(), resource);
         }
-        Ok(Self { assets, made })
+        Ok(Self { assets, made, allowed_origin: None, compressed: Mutex::default() })
+    }
+
+    /// Lets pages of `origin`, such as `https://example.org`, or of any if it is `*`, read what is served:
+    /// otherwise browsers show it to pages of this server alone.
+    #[must_use]
+    pub fn with_allowed_origin(self, origin: HeaderValue) -> Self {
+        Self { allowed_origin: Some(origin), ..self }
+    }
+
+    pub(super) fn allowed_origin(&self) -> Option<&HeaderValue> {
+        self.allowed_origin.as_ref()
+    }
+
+    /// The asset of `path` compressed by gzip; `None` of anything else: streams are compressed as they are.
+    pub(super) fn compressed(&self, path: &str) -> Option<Bytes> {
+        let path = if path == "/" { &format!("/{INDEX}") } else { path };
+        let (bytes, _) = (self.assets)(path.strip_prefix('/')?)?;
+        let lock = || self.compressed.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = lock().get(path) {
+            return Some(known.clone());
+        }
+        let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
+        let made = encoder.write_all(bytes).and_then(|()| encoder.finish());
+        // Memory takes everything.
+        let made = Bytes::from(made.ok()?);
+        lock().insert(path.to_owned(), made.clone());
+        Some(made)
     }
 
     /// What is served under `path`, which begins with a slash. An asset goes before what is made here.
@@ -150,6 +188,8 @@ fn listed(stream: &SiteStream) -> Listed<'_> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Read as _;
+
     use super::*;
 
     #[test]
@@ -162,6 +202,11 @@ mod tests {
             file: Some(Bytes::from_static(b"DGSM")),
         };
         let site = Site::new(assets, std::slice::from_ref(&stream), None).unwrap();
+        let mut page = Vec::new();
+        let compressed = site.compressed("/").unwrap();
+        flate2::read::GzDecoder::new(&compressed[..]).read_to_end(&mut page).unwrap();
+        assert_eq!(page, b"page");
+        assert!(site.compressed("/streams/fox.dgs").is_none());
         assert_eq!(site.resource("/").unwrap().bytes, "page");
         assert_eq!(site.resource("/streams/fox.dgs").unwrap().bytes, "DGSM");
         for missing in ["", "index.html", "//", "/certificate.sha256", "/streams/..%2ffox.dgs", "/../fox.dgs"]

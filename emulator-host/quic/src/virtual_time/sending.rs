@@ -103,7 +103,11 @@ impl<'a> Sending<'a> {
     /// When what is left of a burst is known to be lost: once nothing is out for the transport, an
     /// acknowledgement of something later, which would tell, cannot come.
     fn expires_at(&self) -> Nanos {
-        if self.watch.look().in_flight() > 0 { Nanos::MAX } else { self.outstanding.expires_at(self.silence()) }
+        if self.watch.look().in_flight() > 0 {
+            Nanos::MAX
+        } else {
+            self.outstanding.expires_at(self.silence())
+        }
     }
 
     /// What the transport knows to be settled and no receipt names for so long is lost: receipts leave with

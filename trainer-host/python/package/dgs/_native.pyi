@@ -106,7 +106,7 @@ class Scene:
     def load(
         path: _Path,
         *,
-        fps: float = 30.0,
+        fps: float | None = None,
         samples: int = 20000,
         clip: str | None = None,
         seed: int = 1,
@@ -117,7 +117,7 @@ class Scene:
     ) -> Scene:
         """Reads whatever ``dgs import`` reads, or a .dgs file; content decides before the ending.
 
-        ``fps`` is for sources that do not say. ``samples``, ``clip`` and ``seed`` are for animated meshes.
+        ``fps`` is for sources that do not say, by default 30. ``samples``, ``clip`` and ``seed`` are for animated meshes.
         ``identity_stored``: rows of a numbered sequence are the same Gaussians at every frame.
         ``keep_readable`` keeps the readable part of a damaged source; of a .dgs file it is kept anyway, with a
         UserWarning. ``up`` is which axis points up, by default the usual one of the format.
@@ -364,7 +364,7 @@ def convert(
     source: _Path,
     target: _Path,
     *,
-    fps: float = 30.0,
+    fps: float | None = None,
     frame: int = 0,
     keep_axes: bool = False,
     up: _Axis | None = None,

@@ -9,13 +9,16 @@ use std::io;
 
 use ::fourdgs::{
     GaussianSet, SceneExtras, WriteOptions,
-    quantization::{Profile, SH_QUANT_HI, SH_QUANT_LO},
+    quantization::{Bounds, Profile, SH_QUANT_HI, SH_QUANT_LO, Steps},
     records::Metadata,
     write_to_vec,
 };
 
 use super::{display_colour, opacity};
 use crate::scene::{Epoch, Scene, Up};
+
+/// The format's finest steps.
+const PROFILE: Profile = Profile::Fine;
 
 /// How far from a straight line a centre may be, in units of the thinnest axis.
 const OFF_LINE: f32 = 0.1;
@@ -43,12 +46,9 @@ pub fn encode(scene: &Scene) -> io::Result<Vec<u8>> {
         }
         first += epoch.frames();
     }
-    let options = WriteOptions {
-        profile: Profile::Fine,
-        sh_bands: degree,
-        library: "dgs".into(),
-        ..Default::default()
-    };
+    snap(&mut set);
+    let options =
+        WriteOptions { profile: PROFILE, sh_bands: degree, library: "dgs".into(), ..Default::default() };
     let up = match scene.up {
         Up::Y => Some("y-up-right-handed"),
         Up::Z => Some("z-up-right-handed"),
@@ -60,6 +60,28 @@ pub fn encode(scene: &Scene) -> io::Result<Vec<u8>> {
     let extras = SceneExtras { metadata, ..SceneExtras::default() };
     let duration = scene.frames() as f64 / scene.frames_per_second();
     write_to_vec(&set, duration, &options, &extras).map_err(io::Error::other)
+}
+
+/// Moves centres to where the format's steps leave them. The writer checks what is decoded against half a step,
+/// and where a centre lies in the middle of two steps the rounding of single precision goes beyond that.
+fn snap(set: &mut GaussianSet) {
+    // As the writer finds its step and where it counts from.
+    let mut scales: Vec<f64> = set.scales.iter().map(|scale| f64::from(*scale)).collect();
+    scales.sort_by(f64::total_cmp);
+    let (Some(below), Some(above)) =
+        (scales.get((scales.len().max(1) - 1) / 2), scales.get(scales.len() / 2))
+    else {
+        return;
+    };
+    let step = Steps::of(&Bounds::for_profile(PROFILE, 0.5 * (below + above))).pos;
+    for axis in 0..3 {
+        let along = || set.positions.iter().skip(axis).step_by(3);
+        let least = f64::from(along().copied().fold(f32::INFINITY, f32::min));
+        for place in set.positions.iter_mut().skip(axis).step_by(3) {
+            let steps = ((f64::from(*place) - least) / step).round_ties_even();
+            *place = (least + steps * step) as f32;
+        }
+    }
 }
 
 /// The frame after the run of frames from `t` on in which Gaussian `i` moves in a straight line and
@@ -168,6 +190,20 @@ mod tests {
         moved.positions = Track::PerFrame(all.collect());
         let moved = Scene::new(vec![Epoch::new(4, moved).unwrap()], 30.0).unwrap();
         assert!(apart(&moved, &again, 0) > 0.02);
+    }
+
+    /// Many, and small beside how far away they are.
+    #[test]
+    fn large_scenes_pass_the_writers_own_check() {
+        let mut attributes = epoch(60_000, 0).attributes().clone();
+        let place = |i: usize| [0, 1, 2].map(|d| ((i * 7919 + d * 104_729) % 999_983) as f32 * 6.1e-5 - 30.0);
+        attributes.positions = Track::Constant((0..60_000).map(place).collect());
+        attributes.log_scales =
+            Track::Constant((0..60_000).map(|i| [-6.0 - (i % 7) as f32 * 0.1; 3]).collect());
+        let scene = Scene::new(vec![Epoch::new(1, attributes).unwrap()], 30.0).unwrap();
+        let bytes = encode(&scene).unwrap();
+        let again = import::fourdgs::parse(&bytes, 30.0, &Limits::default()).unwrap();
+        assert_eq!(again.max_count(), 60_000);
     }
 
     #[test]

@@ -87,10 +87,10 @@ pub(super) mod tests {
 
     use super::*;
 
-    /// Two frames of two Gaussians; `edit` may change a member's shape.
-    pub fn sample(edit: impl Fn(&str, &str) -> String) -> Vec<u8> {
+    /// An archive of members: name, shape, values; `edit` may change a shape.
+    pub fn archive(members: &[(&str, &str, &[f32])], edit: impl Fn(&str, &str) -> String) -> Vec<u8> {
         let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
-        let mut add = |name: &str, shape: &str, values: &[f32]| {
+        for (name, shape, values) in members {
             let shape = edit(name, shape);
             let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape}), }}\n");
             zip.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
@@ -98,13 +98,22 @@ pub(super) mod tests {
             zip.write_all(&(header.len() as u16).to_le_bytes()).unwrap();
             zip.write_all(header.as_bytes()).unwrap();
             zip.write_all(&values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>()).unwrap();
-        };
-        add("means3D", "2, 2, 3", &[0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.5, 0.0, 0.0, 1.0, 2.0, 1.0]);
-        add("unnorm_rotations", "2, 2, 4", &[[2.0, 0.0, 0.0, 0.0]; 4].concat());
-        add("rgb_colors", "2, 2, 3", &[[0.25, 0.5, 0.75]; 4].concat());
-        add("logit_opacities", "2, 1", &[0.0, 1.0]);
-        add("log_scales", "2, 3", &[-3.0; 6]);
+        }
         zip.finish().unwrap().into_inner()
+    }
+
+    /// Two frames of two Gaussians; `edit` may change a member's shape.
+    pub fn sample(edit: impl Fn(&str, &str) -> String) -> Vec<u8> {
+        archive(
+            &[
+                ("means3D", "2, 2, 3", &[0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.5, 0.0, 0.0, 1.0, 2.0, 1.0]),
+                ("unnorm_rotations", "2, 2, 4", &[[2.0, 0.0, 0.0, 0.0]; 4].concat()),
+                ("rgb_colors", "2, 2, 3", &[[0.25, 0.5, 0.75]; 4].concat()),
+                ("logit_opacities", "2, 1", &[0.0, 1.0]),
+                ("log_scales", "2, 3", &[-3.0; 6]),
+            ],
+            edit,
+        )
     }
 
     #[test]

@@ -31,6 +31,8 @@ pub enum Format {
     Splatv,
     /// A training of Dynamic 3D Gaussians, a NumPy archive.
     DynamicNpz,
+    /// Parameters of gsplat as NPZ.
+    GsplatNpz,
     /// A network that moves Gaussians, as npz or safetensors.
     Deformation,
     /// The `.4dgs` container.
@@ -56,6 +58,7 @@ impl fmt::Display for Format {
             Format::Ksplat => "ksplat",
             Format::Splatv => "splatv",
             Format::DynamicNpz => "NPZ of Dynamic 3D Gaussians",
+            Format::GsplatNpz => "NPZ of gsplat",
             Format::Deformation => "deformation field",
             Format::FourDgs => "4dgs",
             Format::Sequence => "numbered sequence",

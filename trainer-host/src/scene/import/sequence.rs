@@ -32,7 +32,7 @@ pub enum Identity {
 
 /// What `sequence.json` says of the folder it is in. It is written last: a folder without all of its
 /// frames has one that is not complete.
-#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SequenceIndex {
     /// Number of frames.
     pub frames: usize,
@@ -43,6 +43,22 @@ pub struct SequenceIndex {
     /// Of pictures, for people: the cameras that they were rendered from.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cameras: Option<String>,
+    /// Of scenes: the frame rate, above 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frames_per_second: Option<f64>,
+    /// Of scenes: whether row `i` of each frame is row `i` of the next ([`Identity::Stored`]).
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub identity_stored: bool,
+}
+
+/// The frames of a folder.
+pub(super) struct Files {
+    /// In display order.
+    pub(super) files: Vec<PathBuf>,
+    /// On numbers left out.
+    pub(super) notes: Vec<String>,
+    /// What the folder says of itself.
+    pub(super) index: Option<SequenceIndex>,
 }
 
 impl SequenceIndex {
@@ -71,6 +87,9 @@ impl SequenceIndex {
             let mut parts = Path::new(name).components();
             matches!((parts.next(), parts.next()), (Some(std::path::Component::Normal(_)), None))
         };
+        if let Some(rate) = self.frames_per_second.filter(|rate| !(rate.is_finite() && *rate > 0.0)) {
+            return Err(FORMAT.malformed("frames_per_second", rate, "above 0"));
+        }
         match self.files.iter().find(|name| !plain(name)) {
             Some(name) => Err(FORMAT.malformed("files", name, "plain file names")),
             None => Ok(()),
@@ -78,14 +97,15 @@ impl SequenceIndex {
     }
 }
 
-/// The frames of a folder: those of its index, or the one sequence in it, in order, with a note on numbers
-/// left out.
-pub(super) fn files(folder: &Path, limits: &Limits) -> Result<(Vec<PathBuf>, Vec<String>), ImportError> {
+/// The frames of a folder: those of its index, or the one sequence in it, in order.
+pub(super) fn files(folder: &Path, limits: &Limits) -> Result<Files, ImportError> {
     if folder.join(SEQUENCE_INDEX).exists() {
         let index = SequenceIndex::read(folder, limits)?;
-        return Ok((index.files.into_iter().map(|name| folder.join(name)).collect(), Vec::new()));
+        let files = index.files.iter().map(|name| folder.join(name)).collect();
+        return Ok(Files { files, notes: Vec::new(), index: Some(index) });
     }
-    numbered_files(folder)
+    let (files, notes) = numbered_files(folder)?;
+    Ok(Files { files, notes, index: None })
 }
 
 /// The one numbered sequence of a folder, in order, with a note on numbers left out.
@@ -287,11 +307,36 @@ mod tests {
         let with = |frames: usize, files: &[&str], complete: bool| {
             let files = files.iter().map(|&f| f.to_owned()).collect();
             let index =
-                serde_json::to_vec(&SequenceIndex { frames, files, complete, cameras: None }).unwrap();
+                serde_json::to_vec(&SequenceIndex { frames, files, complete, ..SequenceIndex::default() })
+                    .unwrap();
             std::fs::write(folder.path().join(SEQUENCE_INDEX), index).unwrap();
             import(folder.path(), &ImportOptions::default())
         };
-        assert_eq!(with(2, &["a1.splat", "a0.splat"], true).unwrap().frames(), 2);
+        let scene = with(2, &["a1.splat", "a0.splat"], true).unwrap();
+        assert_eq!((scene.frames(), scene.epochs().len(), scene.frames_per_second()), (2, 2, 30.0));
+        // Whoever wrote the folder knew more; whoever reads it may say another rate.
+        let files = vec!["a0.splat".to_owned(), "a1.splat".to_owned()];
+        let (frames_per_second, identity_stored) = (Some(25.0), true);
+        let known = SequenceIndex {
+            frames: 2,
+            files,
+            complete: true,
+            frames_per_second,
+            identity_stored,
+            cameras: None,
+        };
+        let index = folder.path().join(SEQUENCE_INDEX);
+        std::fs::write(&index, serde_json::to_vec(&known).unwrap()).unwrap();
+        let read = |rate| {
+            let options = ImportOptions { frames_per_second: rate, ..ImportOptions::default() };
+            let scene = import(folder.path(), &options).unwrap();
+            (scene.frames(), scene.epochs().len(), scene.frames_per_second())
+        };
+        assert_eq!((read(None), read(Some(50.0))), ((2, 1, 25.0), (2, 1, 50.0)));
+        let bad = SequenceIndex { frames_per_second: Some(0.0), ..known };
+        std::fs::write(&index, serde_json::to_vec(&bad).unwrap()).unwrap();
+        let error = import(folder.path(), &ImportOptions::default()).unwrap_err().to_string();
+        assert!(error.contains("frames_per_second"), "{error}");
         for (frames, files, complete, says) in [
             (2, vec!["a0.splat", "a1.splat"], false, "complete: found false"),
             (3, vec!["a0.splat", "a1.splat"], true, "found 3 frames and 2 files"),
