@@ -51,6 +51,8 @@ use crate::{
 const TRAINED: &str = "the checkpoint is whole; --resume encodes it";
 const ENCODED: &str = "checkpoint and stream are whole; the report is not there";
 
+/// Share of a clip before the first photograph or after the last that nobody minds.
+const UNSEEN: f32 = 0.05;
 /// Shortest side of pictures that are still worth a figure, pixels.
 const LEAST_SIDE: u32 = 32;
 
@@ -101,6 +103,7 @@ fn train(
         );
     }
     let network = args.lpips.as_deref().map(lpips).transpose()?;
+    delivery.map(|options| delivery::check(args, dataset, options)).transpose().context("--delivery")?;
     folder.open(args)?;
     let stop = Interruption::watch();
     if let (Some(scene), Some(options)) = (scene, delivery) {
@@ -188,6 +191,7 @@ fn photographs(args: &Train, mut dataset: Dataset, max_side: u32) -> Result<Inpu
             unused.join(", ")
         ));
     }
+    notes.extend(beyond_the_photographs(args, &dataset));
     let (dataset, trimmed) = dataset.trimmed(max_side);
     notes.extend(trimmed.map(|trimmed| {
         let ((width, height), (to_width, to_height)) = (trimmed.before, trimmed.after);
@@ -199,6 +203,20 @@ fn photographs(args: &Train, mut dataset: Dataset, max_side: u32) -> Result<Inpu
         )
     }));
     Ok(Input { scene: None, dataset, damaged: false, notes })
+}
+
+/// That part of the clip is of times that no photograph shows.
+fn beyond_the_photographs(args: &Train, dataset: &Dataset) -> Option<String> {
+    let times = dataset.train.photographs().iter().map(|view| view.time);
+    let (first, last) = times.fold((1.0f32, 0.0f32), |(first, last), t| (first.min(t), last.max(t)));
+    let is_seen = first <= UNSEEN && last >= 1.0 - UNSEEN;
+    (dataset.frames > 1 && !is_seen).then(|| {
+        format!(
+            "{}: photographs are of times {first} to {last}; the clip is of 0 to 1, and what it shows besides \
+             is guessed",
+            args.input
+        )
+    })
 }
 
 /// Encodes the scene, measures it, and writes the pages.
@@ -217,10 +235,10 @@ fn finish(
     let written = match delivery.filter(|_| !ended.interrupted) {
         Some(options) => {
             let references = (dataset, trained.options.background);
-            let (encoded, updates) =
+            let (encoded, record) =
                 delivery::fine_tuned(args, folder, &trained.scene, references, options, stop, quiet)?;
-            ended.interrupted |= updates < options.updates;
-            tuning = Some((options, updates));
+            ended.interrupted |= record.objective.len() < options.updates;
+            tuning = Some((options, record));
             Written::plainly(encoded)
         }
         None => within_loss(args, dataset, trained, stop, TRAINED, quiet)?,
@@ -270,6 +288,7 @@ fn finish(
 
     drop(measuring);
     let audits = if args.utility {
+        stop.leave_at_once(ENCODED);
         let (audits, table) = utility::audits(&written.stream, dataset, plain, &folder.utility, quiet)?;
         files::write(&folder.stream, &pipeline::file_by_utility(&written.stream, &table)?)?;
         audits
@@ -287,13 +306,17 @@ fn finish(
     output.json["finishing"] = json!(finished);
     output.json["encoding_loss_db"] = json!(lost_db);
     output.warnings.extend(notes);
-    if let Some((options, updates)) = tuning {
-        output.text += &format!(
-            "  fine-tuned by {updates} of {} updates, {}\n",
-            options.updates,
-            options.variant.name()
-        );
-        output.json["updates"] = json!(updates);
+    output.warnings.extend(log.fall().map(|(best, last)| {
+        format!(
+            "{}: pictures were {best:.1} dB close during the training and are {last:.1} dB at its end: lower \
+             the rates (--options)",
+            args.input
+        )
+    }));
+    if let Some((options, record)) = tuning {
+        output.text += &delivery::outcome(&record, options);
+        output.json["updates"] = json!(record.objective.len());
+        output.json["taken"] = json!(record.before_and_taken().map(|(_, taken)| taken.updates));
         output.json["registration"] = json!(files::shown(&folder.registration));
         output.json["delivery"] = json!(files::shown(&folder.delivery));
     }

@@ -1,11 +1,18 @@
 //! An interruption is a person's wish to stop (Ctrl-C): work leaves at its next step; asked twice, at once.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicBool, Ordering},
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::Duration,
 };
 
 use crate::command::interruption::leave;
+
+/// How soon it is noticed that a person asks to stop where work does not look.
+const NOTICE: Duration = Duration::from_millis(100);
 
 /// Whether a person has asked to stop.
 #[derive(Clone, Debug, Default)]
@@ -28,6 +35,20 @@ impl Interruption {
     /// Whether stopping was asked for since the last time: whoever takes this does something about it.
     pub(super) fn take(&self) -> bool {
         self.0.swap(false, Ordering::Relaxed)
+    }
+
+    /// From now on asking to stop ends the process at once, with a line about what is left: for work that
+    /// does not look whether somebody asks, while nothing is half written.
+    pub(super) fn leave_at_once(&self, what_is_left: &'static str) {
+        let interruption = self.clone();
+        let watch = move || {
+            loop {
+                interruption.leave(what_is_left);
+                thread::sleep(NOTICE);
+            }
+        };
+        // Without a thread, asking twice still ends it.
+        let _ = thread::Builder::new().name("dgs-interruption".to_owned()).spawn(watch);
     }
 
     /// Ends the process if stopping was asked for, with a line about what is left. To be called where nothing

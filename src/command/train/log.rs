@@ -5,6 +5,8 @@ use std::{fmt::Write as _, path::Path};
 use anyhow::{Context, Result, bail};
 use trainer_host::train::StepReport;
 
+/// Rounding and pruning at the end cost less than this, dB.
+const CLEAR_FALL_DB: f64 = 1.0;
 const HEADER: &str = "step,seconds,loss,gaussians,nodes,width,height,psnr_db";
 
 /// What training looked like at one step.
@@ -107,6 +109,13 @@ impl Log {
     /// Seconds of training so far.
     pub(super) fn seconds(&self) -> f64 {
         self.samples.last().map_or(0.0, |sample| sample.seconds)
+    }
+
+    /// The highest PSNR and the last one, dB, where the training has clearly lost what it had.
+    pub(super) fn fall(&self) -> Option<(f64, f64)> {
+        let psnr = || self.samples.iter().filter_map(|sample| sample.psnr_db);
+        let (best, last) = (psnr().fold(f64::MIN, f64::max), psnr().next_back()?);
+        (last < best - CLEAR_FALL_DB).then_some((best, last))
     }
 
     /// For the progress bar; `left` is an estimate, seconds.

@@ -19,7 +19,7 @@ use super::{
 };
 use crate::{
     args::train::{DensityName, Train},
-    files, output,
+    files,
     pipeline::{self, Quiet},
     progress::Progress,
 };
@@ -63,7 +63,17 @@ pub(super) fn begin<'d>(
         let trainer = checkpoint.resume(dataset).with_context(failed)?.on(backend)?;
         return Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), progress));
     }
-    let trainer = Trainer::new(dataset, &options(args)?)?.on(backend)?;
+    let options = options(args)?;
+    let posed = options.max_gaussians.saturating_mul(dataset.frames);
+    if posed > Checkpoint::MOST_POSED {
+        bail!(
+            "--gaussians is {} over {} frames; up to {} in all frames together are allowed",
+            options.max_gaussians,
+            dataset.frames,
+            Checkpoint::MOST_POSED
+        );
+    }
+    let trainer = Trainer::new(dataset, &options)?.on(backend)?;
     Ok((trainer.encoded_by(encoding_of(args, dataset, args.scene.frames_per_second())), 0.0))
 }
 
@@ -183,14 +193,27 @@ pub(super) fn fit(
     let mut next_glance = if begun > 0.0 { after(begun) } else { 0.0 };
     let mut interrupted = false;
     while progress < 1.0 && !interrupted {
-        let report = trainer.step(progress)?;
+        let report = match trainer.step(progress) {
+            Ok(report) => report,
+            Err(error) => {
+                // What was reached before is kept.
+                save(folder, dataset, trainer, progress)?;
+                files::write(&folder.log, log.csv().as_bytes())?;
+                return Err(error)
+                    .with_context(|| format!("{}: holds what was reached", folder.checkpoint.display()));
+            }
+        };
         let seconds = clock.elapsed().as_secs_f64();
         progress = match args.minutes {
             None => (f64::from(report.step) / steps).max(begun),
             Some(minutes) => begun + (1.0 - begun) * (seconds / (60.0 * minutes * (1.0 - begun).max(1e-9))),
         };
         if let Some(what) = &report.retreat {
-            log.notes.push(format!("step {}: {what}; fell back, with half the rates", report.step));
+            let note = format!("step {}: {what}; fell back, with half the rates", report.step);
+            if !quiet.0 {
+                bar.say(&format!("warning: {note}"));
+            }
+            log.notes.push(note);
         }
         let due = glances > 0.0 && progress >= next_glance;
         if due {
@@ -202,7 +225,7 @@ pub(super) fn fit(
             let left = seconds * (1.0 - progress) / (progress - begun).max(1e-9);
             bar.stage(&log.line(left), progress);
             if due && !quiet.0 && !std::io::stderr().is_terminal() {
-                output::complain(&format!("step {}: {}", report.step, log.line(left)));
+                bar.say(&format!("step {}: {}", report.step, log.line(left)));
             }
         }
         interrupted = stop.take();

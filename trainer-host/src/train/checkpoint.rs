@@ -21,9 +21,6 @@ use super::{
 const MAGIC: &[u8; 8] = b"DGSTRAIN";
 const VERSION: u16 = 7;
 const HEADER: usize = 14;
-/// Most Gaussians over all frames of the scene in a checkpoint: about 3 GB.
-const MOST_POSED: usize = 50_000_000;
-
 /// A training between two steps, with what it was trained on and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Checkpoint {
@@ -61,6 +58,9 @@ pub enum CheckpointError {
 }
 
 impl Checkpoint {
+    /// Most Gaussians times frames of the scene in a checkpoint: about 3 GB.
+    pub const MOST_POSED: usize = 50_000_000;
+
     /// The state of `trainer` after a step at `progress`.
     pub fn of(trainer: &Trainer, dataset: &Dataset, progress: f64) -> Self {
         Self {
@@ -149,7 +149,7 @@ impl Checkpoint {
             && read.frames_per_second.is_finite()
             && read.frames_per_second > 0.0
             && Up::numbered(read.up).is_some()
-            && (1..=MOST_POSED).contains(&posed);
+            && (1..=Self::MOST_POSED).contains(&posed);
         if sound { Ok(read) } else { Err(CheckpointError::Damaged("its numbers do not fit together")) }
     }
 }

@@ -1,6 +1,7 @@
 //! Evaluation renders a trained scene as held-out cameras saw it and compares.
 
 use codec_core::Footprint;
+use rayon::prelude::*;
 use render_host::{
     Image, ImageError, RenderError, Renderer, Settings, Splats, SplatsError,
     metric::{self, Lpips},
@@ -76,7 +77,7 @@ pub struct Compared {
 }
 
 /// A scene that can be shown at any time from 0 to 1.
-pub trait Posable {
+pub trait Posable: Sync {
     /// The Gaussians at `time`, into memory that is used again.
     fn pose(&self, time: f32, out: &mut Instant);
 
@@ -151,36 +152,48 @@ pub fn compare<S>(
 ///
 /// # Errors
 /// No views, a size that `reduced` does not divide, or a picture that cannot be rendered.
-pub fn evaluate<S>(
+pub fn evaluate<S: Sync>(
     scene: &dyn Posable,
     views: &Views<S>,
     reduced: u32,
     background: [f32; 3],
 ) -> Result<Evaluation, EvaluationError> {
-    let mut psnr_of_views_db = Vec::with_capacity(views.photographs().len());
-    let (mut foreground, mut ssim) = (0.0, 0.0);
-    let mut size = None;
-    for (index, view) in views.photographs().iter().enumerate() {
+    let measured = views.photographs().par_iter().enumerate().map(|(index, view)| {
         let Compared { rendered, photograph } = compare(scene, views, index, reduced, background)?;
-        psnr_of_views_db.push(metric::psnr(&rendered, &photograph)?);
-        ssim += metric::ssim(&rendered, &photograph)?;
         let alpha = |x: u32, y: u32| {
             let at = (y * reduced * view.photograph.width() + x * reduced) as usize;
             view.photograph.rgba().get(4 * at + 3).copied().unwrap_or(0)
         };
-        foreground += psnr_where(&rendered, &photograph, |x, y| alpha(x, y) >= 128);
-        size.get_or_insert(rendered.size());
-    }
-    let count = psnr_of_views_db.len() as f64;
+        Ok::<_, EvaluationError>(OfView {
+            size: rendered.size(),
+            psnr_db: metric::psnr(&rendered, &photograph)?,
+            foreground_db: psnr_where(&rendered, &photograph, |x, y| alpha(x, y) >= 128),
+            ssim: metric::ssim(&rendered, &photograph)?,
+        })
+    });
+    let measured = measured.collect::<Result<Vec<_>, _>>()?;
+    let size = measured.first().ok_or(EvaluationError::Empty)?.size;
+    let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len() as f64;
+    let psnr_of_views_db: Vec<f64> = measured.iter().map(|view| view.psnr_db).collect();
+    let with_foreground: Vec<f64> = measured.iter().filter_map(|view| view.foreground_db).collect();
     Ok(Evaluation {
-        size: size.ok_or(EvaluationError::Empty)?,
+        size,
         background,
-        psnr_db: psnr_of_views_db.iter().sum::<f64>() / count,
-        foreground_psnr_db: foreground / count,
+        psnr_db: mean(psnr_of_views_db.clone()),
+        foreground_psnr_db: if with_foreground.is_empty() { 100.0 } else { mean(with_foreground) },
         worst_psnr_db: psnr_of_views_db.iter().copied().fold(f64::INFINITY, f64::min),
-        ssim: ssim / count,
+        ssim: mean(measured.iter().map(|view| view.ssim).collect()),
         psnr_of_views_db,
     })
+}
+
+/// What one view gives.
+struct OfView {
+    size: (u32, u32),
+    psnr_db: f64,
+    /// `None` where the photograph shows none.
+    foreground_db: Option<f64>,
+    ssim: f64,
 }
 
 /// How different `scene` looks from all `views`, `reduced` times smaller, over `background`.
@@ -209,8 +222,8 @@ pub fn perceptual<S>(
     Ok(Perceptual { flip: flip / count, lpips: network.map(|_| lpips / count) })
 }
 
-/// PSNR in dB over the pixels that `counts` accepts; 100 where none is or none differs.
-fn psnr_where(a: &Image, b: &Image, counts: impl Fn(u32, u32) -> bool) -> f64 {
+/// PSNR in dB over the pixels that `counts` accepts, 100 where none of them differs; `None` without any.
+fn psnr_where(a: &Image, b: &Image, counts: impl Fn(u32, u32) -> bool) -> Option<f64> {
     let width = a.width() as usize;
     let (mut sum, mut values) = (0.0, 0usize);
     for (index, (a, b)) in a.rgb().chunks_exact(3).zip(b.rgb().chunks_exact(3)).enumerate() {
@@ -219,6 +232,6 @@ fn psnr_where(a: &Image, b: &Image, counts: impl Fn(u32, u32) -> bool) -> f64 {
             values += 3;
         }
     }
-    let error = sum / values.max(1) as f64;
-    if error > 0.0 { (-10.0 * error.log10()).min(100.0) } else { 100.0 }
+    let error = (values > 0).then(|| sum / values as f64)?;
+    Some(if error > 0.0 { (-10.0 * error.log10()).min(100.0) } else { 100.0 })
 }

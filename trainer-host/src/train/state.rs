@@ -9,6 +9,9 @@ use super::{average::Average, density::Pull, finish::Finishing, model::Model};
 
 /// Times that training may fall back before it gives up.
 pub(super) const MOST_RETREATS: u32 = 3;
+/// A mean loss that rose by this much, of about 1 that pictures without anything in common have, has lost what
+/// was there.
+const MOST_RISE: f64 = 0.3;
 /// Most steps of a training.
 const MOST_STEPS: u32 = 1 << 30;
 
@@ -77,7 +80,7 @@ impl State {
             return Some("the loss is not a number".to_owned());
         }
         self.mean_loss = if self.step == 0 { loss } else { 0.99 * self.mean_loss + 0.01 * loss };
-        let limit = 10.0 * self.lowest_loss + 0.1;
+        let limit = (10.0 * self.lowest_loss + 0.1).min(self.lowest_loss + MOST_RISE);
         if self.mean_loss > limit {
             return Some(format!("the mean loss rose from {:.4} to {:.4}", self.lowest_loss, self.mean_loss));
         }

@@ -89,14 +89,14 @@ impl<'a> Trainer<'a> {
     /// An option out of range, an empty training split, or a dataset that no training can finish with.
     pub fn new(dataset: &'a Dataset, options: &TrainOptions) -> Result<Self, TrainError> {
         options.validate()?;
+        let photographs = dataset.train.photographs();
+        if photographs.is_empty() {
+            return Err(TrainError::Empty { dataset: dataset.name.clone() });
+        }
         start::check(dataset)?;
         let mut options = options.clone();
         if dataset.train.instants() < 2 {
             options.nodes = 0;
-        }
-        let photographs = dataset.train.photographs();
-        if photographs.is_empty() {
-            return Err(TrainError::Empty { dataset: dataset.name.clone() });
         }
         let extent = Extent::of(&dataset.start, photographs);
         let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
@@ -467,6 +467,9 @@ impl<'a> Trainer<'a> {
 
     /// From time to time checks that every number is finite, and remembers the state to fall back to.
     fn keep_or_find_trouble(&mut self) -> Option<String> {
+        if self.state.model.gaussians() == 0 {
+            return Some("no Gaussian is left".to_owned());
+        }
         let step = self.state.step;
         if !step.is_multiple_of(CHECK_EVERY) {
             return None;

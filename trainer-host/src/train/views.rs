@@ -121,11 +121,16 @@ impl<Split> Views<Split> {
 
     /// Number of different times.
     pub fn instants(&self) -> usize {
-        let mut times: Vec<f32> = self.photographs.iter().map(|view| view.time).collect();
-        times.sort_by(f32::total_cmp);
-        times.dedup();
-        times.len()
+        distinct(self.photographs.iter().map(|view| view.time))
     }
+}
+
+/// How many different ones there are of `times`.
+pub(super) fn distinct(times: impl Iterator<Item = f32>) -> usize {
+    let mut times: Vec<f32> = times.collect();
+    times.sort_by(f32::total_cmp);
+    times.dedup();
+    times.len()
 }
 
 /// A point of known colour.

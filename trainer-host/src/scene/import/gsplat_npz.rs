@@ -75,10 +75,7 @@ fn three(v: &[f64]) -> [f32; 3] {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use super::{
-        super::dynamic_npz::tests::archive,
-        *,
-    };
+    use super::{super::dynamic_npz::tests::archive, *};
 
     /// Two Gaussians of degree 1; `edit` may change a member's shape.
     pub fn sample(edit: impl Fn(&str, &str) -> String) -> Vec<u8> {
@@ -117,7 +114,8 @@ pub(super) mod tests {
             ("shN", "2, 2, 3"),
             ("means", "99999999999, 3"),
         ] {
-            let edit = |member: &str, has: &str| if member == name { shape.to_owned() } else { has.to_owned() };
+            let edit =
+                |member: &str, has: &str| if member == name { shape.to_owned() } else { has.to_owned() };
             let error = parse(&sample(edit), 30.0, &Limits::default()).unwrap_err().to_string();
             assert!(error.contains(name) || shape.starts_with("9999"), "{name}: {error}");
         }

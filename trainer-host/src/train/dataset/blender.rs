@@ -12,20 +12,17 @@ use render_host::{Camera, camera::blender};
 
 use super::{
     error::DatasetError,
-    files::{name_of, read_bytes, read_photograph},
+    files::{is_copy, name_of, read_bytes, read_photograph},
 };
 use crate::{
     scene::Up,
-    train::views::{Dataset, FreeSpace, PosedPhotograph, Start, Views},
+    train::views::{Dataset, FreeSpace, PosedPhotograph, Start, Views, distinct},
 };
 
 /// One frame of this many is for testing where a file has all of them.
 const TEST_EVERY: usize = 8;
 /// Endings of images, in the order in which they are looked for.
 const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
-/// How much the ratios of an image's sides to those of its camera may differ.
-const ASPECT: f64 = 0.01;
-
 pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
     let none = || (Vec::new(), false);
     let own = |name: &str| -> Result<(Vec<PosedPhotograph>, bool), DatasetError> {
@@ -34,10 +31,13 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
     };
     let whole = folder.join("transforms.json");
     let in_splits = folder.join("transforms_train.json").is_file();
+    let mut instants = None;
     let ((train, has_alpha), (validation, _), (test, _)) = if in_splits {
         (own("train")?, own("val")?, own("test")?)
     } else {
         let (all, has_alpha) = photographs(folder, &whole)?;
+        // Those of test views count: otherwise frames would fall between the instants of all others.
+        instants = Some(distinct(all.iter().map(|view| view.time)));
         let (mut train, mut test) = (Vec::new(), Vec::new());
         for (index, view) in all.into_iter().enumerate() {
             if index % TEST_EVERY == TEST_EVERY - 1 { test.push(view) } else { train.push(view) }
@@ -46,7 +46,7 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
     };
     let of_views = |source| DatasetError::Views { path: folder.to_owned(), source };
     let train = Views::new(train).map_err(of_views)?;
-    let frames = Views::instants(&train);
+    let frames = instants.unwrap_or_else(|| Views::instants(&train));
     Ok(Dataset {
         name: name_of(folder),
         train,
@@ -94,9 +94,7 @@ fn photographs(folder: &Path, path: &Path) -> Result<(Vec<PosedPhotograph>, bool
 
 /// The camera of a larger or smaller copy of its image; unchanged where that has another shape.
 fn of_size(camera: &Camera, width: u32, height: u32) -> Camera {
-    let across = f64::from(width) / f64::from(camera.width());
-    let down = f64::from(height) / f64::from(camera.height());
-    let is_copy = (across / down - 1.0).abs() <= ASPECT;
+    let is_copy = is_copy(camera, width, height);
     camera.resized(width, height).ok().filter(|_| is_copy).unwrap_or_else(|| camera.clone())
 }
 

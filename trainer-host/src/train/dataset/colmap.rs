@@ -11,7 +11,7 @@ use render_host::camera::colmap::{self, Format};
 
 use super::{
     error::DatasetError,
-    files::{name_of, read_bytes, read_photograph},
+    files::{is_copy, name_of, read_bytes, read_photograph},
 };
 use crate::{
     scene::Up,
@@ -49,6 +49,16 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
         .map(|view| {
             let path = image_path(&images, &view.name);
             let (photograph, _) = read_photograph(&path)?;
+            let (width, height) = (photograph.width(), photograph.height());
+            if !is_copy(&view.camera, width, height) {
+                let (camera_width, camera_height) = (view.camera.width(), view.camera.height());
+                return Err(DatasetError::Field {
+                    path,
+                    field: "size".to_owned(),
+                    found: format!("{width} x {height}, of a camera of {camera_width} x {camera_height}"),
+                    allowed: "that of its camera, or of a larger or smaller copy, is allowed",
+                });
+            }
             let camera = view
                 .camera
                 .resized(photograph.width(), photograph.height())

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use render_host::{
-    ImageError,
+    Camera, ImageError,
     adjoint::loss::photograph::Photograph,
     camera::MAX_SIDE,
     image_file::{Bounds, Rgba8},
@@ -35,4 +35,14 @@ pub(super) fn read_photograph(path: &Path) -> Result<(Photograph, bool), Dataset
 pub(super) fn name_of(path: &Path) -> String {
     let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
+}
+
+/// How much the ratios of an image's sides to those of its camera may differ.
+const ASPECT: f64 = 0.01;
+
+/// Whether an image of `width` × `height` is that of `camera`, or a larger or smaller copy.
+pub(super) fn is_copy(camera: &Camera, width: u32, height: u32) -> bool {
+    let across = f64::from(width) / f64::from(camera.width());
+    let down = f64::from(height) / f64::from(camera.height());
+    (across / down - 1.0).abs() <= ASPECT
 }

@@ -81,3 +81,10 @@ pub struct Record {
     /// Which of the candidates was taken.
     pub taken: Option<usize>,
 }
+
+impl Record {
+    /// The scene as it was given, and the candidate that was taken; `None` without validation.
+    pub fn before_and_taken(&self) -> Option<(&Candidate, &Candidate)> {
+        Some((self.candidates.first()?, self.candidates.get(self.taken?)?))
+    }
+}
