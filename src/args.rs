@@ -131,7 +131,7 @@ pub struct ViewArgs {
 }
 
 impl ViewArgs {
-    /// The options that were given another value than where nothing is said.
+    /// The options whose values are not the defaults.
     pub fn typed(&self) -> Vec<&'static str> {
         let options = [
             ("--width", self.width.is_some()),
@@ -150,11 +150,11 @@ impl ViewArgs {
 /// A scheduler.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PolicyName {
-    /// Level order.
+    /// All base packets first, then each level of refinement.
     Layered,
-    /// Segment budget.
+    /// Whole segments within a budget of bytes, as DASH chooses representations.
     Dash,
-    /// Dependency-closed groups by deadline.
+    /// Groups with all that they need, the earliest deadline first.
     Dependency,
     /// What each byte adds to the picture, by the time it arrives.
     DeadlineUtility,
@@ -166,8 +166,7 @@ pub enum PolicyName {
 #[derive(Debug, Args)]
 pub struct Import {
     /// File or folder, or synth:KIND:GAUSSIANS:FRAMES (numbers optional), KIND balls, figure, cloth or
-    /// births,
-    /// GAUSSIANS at least 1000.
+    /// births, GAUSSIANS at least 1000.
     pub input: String,
     /// How to read it.
     #[command(flatten)]
@@ -181,8 +180,7 @@ pub struct Import {
         transforms_*.json, or COLMAP's cameras and images [default: three around the scene, 28° above the \
         horizon]")),
     mut_arg("width", |arg| arg.help("Width of the pictures of --target-psnr, 1 to 16384 pixels [default: \
-        256, \
-        or what a file of cameras says]")),
+        256, or what a file of cameras says]")),
     mut_arg("height", |arg| arg.help("Height of the pictures of --target-psnr, 1 to 16384 pixels [default: \
         256, or what a file of cameras says]")),
     mut_arg("background", |arg| arg.help("Background of the pictures of --target-psnr, 0 to 1 per channel: \
@@ -207,8 +205,8 @@ pub struct Encode {
     /// What the pictures of --target-psnr are.
     #[command(flatten)]
     pub view: ViewArgs,
-    /// What draws the pictures by which steps, a target PSNR and --search choose; utilities are measured on
-    /// the processor.
+    /// Device that renders the pictures by which quantiser steps, --target-psnr and --search choose;
+    /// utilities are measured on the processor.
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
     pub device: DeviceName,
     /// Also measure what each group of packets adds to a picture and write it beside the stream
@@ -321,7 +319,7 @@ pub struct StreamArgs {
     /// A viewer, who tells the sender where it is; what it sees is compared with complete frames (PSNR).
     #[command(flatten)]
     pub cameras: CameraArgs,
-    /// The viewer keeps to itself where it is: for comparison.
+    /// The viewer does not say where it is: for comparison.
     #[arg(long)]
     pub no_pose: bool,
     /// What the viewer's pictures are like.

@@ -68,8 +68,8 @@ pub(crate) fn check_stream(path: &Path, others: &[&Path]) -> Result<()> {
     check_apart(path, others)
 }
 
-/// Refuses to write a file that is one of `others`, which are read or written besides, or a folder that one of
-/// them is in.
+/// Refuses to write a file that is one of `others`, which are read or written besides, or a folder that one
+/// of them is in.
 ///
 /// # Errors
 /// That `path` is one of them, or which one is in it.

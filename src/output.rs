@@ -2,7 +2,8 @@
 //!
 //! Exit status: 0 fine, 1 refused, 2 done, but not all of it (damaged input used as far as it goes, training
 //! that was interrupted, conditions that a server did not grant, shards that are missing), 64 not a command
-//! (`EX_USAGE` of sysexits.h), 130 interrupted. A reader that closes the pipe early is no error; a full disk is.
+//! (`EX_USAGE` of sysexits.h), 130 interrupted. A reader that closes the pipe early is no error; a full disk
+//! is.
 
 use std::{
     io::{self, ErrorKind, Write as _},

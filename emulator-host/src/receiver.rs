@@ -226,7 +226,6 @@ impl Endpoint for GraphReceiver<'_> {
         if complete && !self.manifest {
             self.manifest = true;
             for packet in std::mem::take(&mut self.buffer) {
-                // Repair of an earlier packet may have made it known already.
                 self.enter(packet, recovered);
             }
         }

@@ -47,7 +47,7 @@ pub use crate::startup::{Startup, StartupRule};
 pub use ideal::run_ideal;
 pub use media_receiver::MediaReceiver;
 pub use media_sender::{MediaSender, SendingRules};
-pub use outlook::{PathFacts, expected_round_trip};
+pub use outlook::PathFacts;
 pub use outstanding::Outstanding;
 pub use reported_pose::ReportedPose;
 pub use run::{run, simulate};

@@ -1,4 +1,4 @@
-//! `cargo +nightly fuzz run trace`: see `fuzz::control`.
+//! `cargo +nightly fuzz run control`: see `fuzz::control`.
 #![cfg_attr(fuzzing, no_main)]
 
 #[cfg(fuzzing)]

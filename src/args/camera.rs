@@ -40,7 +40,7 @@ pub struct CameraArgs {
         value_parser = real(1.0..=170.0, "degrees")
     )]
     pub fov: Option<f64>,
-    /// So many cameras in a full circle around the scene; a moving scene plays along, one frame a picture.
+    /// Number of cameras in a full circle around the scene; of a moving scene each shows the next frame.
     #[arg(
         long, value_name = "CAMERAS", conflicts_with = "cameras",
         value_parser = whole::<usize>(1..=10_000, "cameras")

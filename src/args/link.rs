@@ -45,7 +45,7 @@ pub struct LinkArgs {
     /// What carries packets over the link.
     #[arg(long, value_enum, default_value_t = TransportName::Model)]
     pub transport: TransportName,
-    /// Seed of the link's luck. The default does not begin in a fade.
+    /// Seed of random losses and jitter, and of the built-in trace; the default does not begin in a fade.
     #[arg(long, default_value_t = 2)]
     pub link_seed: u64,
 }

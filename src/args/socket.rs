@@ -73,8 +73,8 @@ pub struct Serve {
     /// Key of the certificate (PEM).
     #[arg(long, value_name = "FILE", requires = "cert")]
     pub key: Option<PathBuf>,
-    /// Scheduler of every viewer. Of a scene that is encoded here what it goes by is measured; a viewer who
-    /// asks for deadline-utility-paper in its place gets that rule over gains.
+    /// Scheduler of every viewer. For a scene that is encoded here, what this one goes by is measured; a
+    /// viewer who asks for deadline-utility-paper instead gets its rule over gains.
     #[arg(long, value_enum, default_value_t = PolicyName::DeadlineUtility)]
     pub policy: PolicyName,
     /// Viewers at once, 1 to 10000.

@@ -62,7 +62,8 @@ pub struct Train {
     /// --delivery on a scene 0].
     #[arg(long, value_parser = background)]
     pub background: Option<[f32; 3]>,
-    /// Time whose Gaussians are stored and others moved from, 0 to 1 [default: 0.5].
+    /// Time of the frame whose Gaussians are stored and moved to other times, 0 to 1 of the clip [default:
+    /// 0.5].
     #[arg(long, value_parser = real(0.0..=1.0, "a share of the clip"), allow_negative_numbers = true)]
     pub canonical_time: Option<f64>,
     /// How strongly neighbouring nodes move as one rigid body [default: 0.01].
@@ -87,11 +88,12 @@ pub struct Train {
     /// Also writes registration.json (what was fixed before) and delivery.json (what came of it).
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
-    /// Most that encoding may take from the PSNR of validation views (of training views where there are
-    /// none), dB: steps are chosen to keep to it, those of motion alone where the training has rounded the
-    /// rest (the last fifth of it; `finish` in --options). --target-bytes N ends between 98 % and all of N
-    /// where something moves. Other typed sizes or steps leave rounding to the encoder, and --delivery has
-    /// steps of its own.
+    /// Largest loss of PSNR by encoding, dB.
+    ///
+    /// Measured on validation views, or on training views where there are none. Quantiser steps are chosen to
+    /// keep to it; where the training has rounded values itself (its last fifth; `finish` in --options),
+    /// those of motion alone. --target-bytes N ends between 98 % and all of N where something moves. Other
+    /// typed sizes or steps leave rounding to the encoder, and --delivery has steps of its own.
     #[arg(
         long, value_name = "DB", default_value_t = 0.1, value_parser = real(0.001..=100.0, "dB"),
         conflicts_with = "fineness", allow_negative_numbers = true

@@ -212,8 +212,8 @@ fn beyond_the_photographs(args: &Train, dataset: &Dataset) -> Option<String> {
     let is_seen = first <= UNSEEN && last >= 1.0 - UNSEEN;
     (dataset.frames > 1 && !is_seen).then(|| {
         format!(
-            "{}: photographs are of times {first} to {last}; the clip is of 0 to 1, and what it shows besides \
-             is guessed",
+            "{}: photographs are of times {first} to {last}; the clip is of 0 to 1, and what it shows \
+             besides is guessed",
             args.input
         )
     })

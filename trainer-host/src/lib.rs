@@ -1,6 +1,6 @@
 //! trainer-host imports, exports and trains scenes, encodes them into streams, and measures what parts add.
 //!
-//! Five rooms, in the order of the walk:
+//! Its modules, in the order in which a scene goes through them:
 //!
 //! ```text
 //! photographs ─▶ train ─▶ scene (import) ─▶ encode ─▶ stream ─▶ (codec-core decodes) ─▶ utility
@@ -19,8 +19,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Deliberately absent: time and networks (emulator-host), pixels (render-host), and the bytes of
-//! packets themselves (codec-core: this crate chooses, that one writes down).
+//! Deliberately absent: time and networks (emulator-host), how pixels are made (render-host), and the bytes
+//! of packets themselves (codec-core: this crate chooses, that one writes down).
 
 pub mod encode;
 pub mod scene;

@@ -1,9 +1,8 @@
 //! One error for everything this crate reads: what is wrong, in which field, where, what was
 //! found and what is allowed.
 //!
-//! `Copy`, no heap, no formatting until somebody prints it. Four culprits are kept apart: the
-//! bytes end early, the bytes are illegal, the bytes are legal but not known to this version, and
-//! the caller gave too little memory.
+//! `Copy`, no heap, no formatting until somebody prints it. Kinds are kept apart by who is to blame and
+//! what helps: see [`ErrorKind`].
 
 use core::fmt;
 

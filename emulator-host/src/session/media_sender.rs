@@ -232,8 +232,8 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         }
     }
 
-    /// Playout that no receipt has reported is still to begin, whatever was expected when the receiver was last
-    /// heard: otherwise what is shown first would count as too late while a link stands still.
+    /// Playout that no receipt has reported is still to begin, whatever was expected when the receiver was
+    /// last heard: otherwise what is shown first would count as too late while a link stands still.
     fn expect_start_after(&mut self, now: Nanos) {
         if self.known_start.is_none() {
             self.outlook.playout_start = self.outlook.playout_start.max(now);

@@ -25,18 +25,18 @@ pub struct PathFacts {
     pub datagram_bytes: u64,
 }
 
-/// The round trip to count on: the smoothed one, unless the newest sample (zero before the first) took less
-/// than half as long. The mean that has seen a link stand still says seconds for many samples after it
-/// carries again; a path that is no faster than before shows at once that it is not.
-pub fn expected_round_trip(smoothed: Nanos, newest: Nanos) -> Nanos {
-    if newest > Nanos::ZERO && newest.times(2) < smoothed { newest } else { smoothed }
-}
-
 /// Longest round trip of an empty path: satellites in high orbits take 0.6 s. What measured longer waited
 /// somewhere, such as on a link that carried nothing when the session began.
 const LONGEST_EMPTY_ROUND_TRIP: Nanos = Nanos::from_s(1);
 
 impl PathFacts {
+    /// The round trip to count on: the smoothed one, unless the newest sample (zero before the first) took
+    /// less than half as long. The mean that has seen a link stand still says seconds for many samples after
+    /// it carries again; a path that is no faster than before shows at once that it is not.
+    pub fn expected_round_trip(smoothed: Nanos, newest: Nanos) -> Nanos {
+        if newest > Nanos::ZERO && newest.times(2) < smoothed { newest } else { smoothed }
+    }
+
     /// The same with a smallest round trip that an empty path may have: otherwise everything would count as
     /// too late to be sent that is shown within half of what the first datagrams had to wait.
     pub(super) fn plausible(self) -> Self {

@@ -7,7 +7,7 @@ use super::{
     feedback::Reported,
     media_sender::MediaSender,
     news::{Heard, NewsLog},
-    outlook::{PathFacts, expected_round_trip},
+    outlook::PathFacts,
 };
 use crate::{
     clock::{Bytes, Nanos},
@@ -264,7 +264,7 @@ fn widest_datagram(graph: &PacketGraph) -> u64 {
 
 fn facts(recovery: &Recovery, datagram_bytes: u64) -> PathFacts {
     let rtt = recovery.rtt();
-    let expected = expected_round_trip(rtt.smoothed(), rtt.latest());
+    let expected = PathFacts::expected_round_trip(rtt.smoothed(), rtt.latest());
     PathFacts {
         rate: recovery.rate(expected),
         smoothed_rtt: expected,

@@ -130,7 +130,7 @@ impl Pass {
     }
 }
 
-/// SplatRuns `plan` over all tiles.
+/// Runs `plan` over all tiles.
 pub(super) fn run(engine: &Engine, plan: &impl LanePlan) -> Sums {
     let shared = &engine.shared;
     let mut starts = vec![0];

@@ -14,7 +14,7 @@ use super::{
 
 /// Groups in a segment at most.
 const MOST: usize = 4;
-/// Looks at a segment at most.
+/// Subsets of the longest segment.
 pub(super) const SUBSETS: usize = 1 << MOST;
 /// No group.
 pub(super) const NONE: u32 = u32::MAX;

@@ -221,7 +221,7 @@ impl<'a> Projector<'a> {
         }
     }
 
-    /// The degree up to which bands of a Gaussian that holds `held` are weighed.
+    /// The degree up to which bands of a Gaussian that holds `used` are weighed.
     pub(crate) fn weighed(&self, used: u8) -> u8 {
         if self.sh_by_need { self.degree.min(used) } else { self.degree }
     }

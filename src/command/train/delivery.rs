@@ -158,8 +158,8 @@ pub(super) fn outcome(record: &Record, options: &DeliveryOptions) -> String {
         return text;
     }
     text += &format!(
-        "  taken after update {}: with lost packets, worst tenth {:.2} → {:.2} dB; with all of them {:.2} → {:.2} \
-         dB; {} → {} bytes on the wire\n",
+        "  taken after update {}: with lost packets, worst tenth {:.2} → {:.2} dB; with all of them {:.2} → \
+         {:.2} dB; {} → {} bytes on the wire\n",
         taken.updates,
         before.p10_db,
         taken.p10_db,

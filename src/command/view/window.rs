@@ -50,7 +50,7 @@ pub(super) fn window(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     let text = format!("{} frames in {:.1} s on {}\n", report.frames, report.seconds, report.adapter);
     let json = json!({
         "frames": report.frames, "seconds": report.seconds, "frames_per_second": rate,
-        "adapter": report.adapter, "devices_lost": report.devices_lost, "said": warnings,
+        "adapter": report.adapter, "devices_lost": report.devices_lost, "warnings": warnings,
     });
     Ok(VerbOutput { text, json, warnings: Vec::new(), damaged })
 }

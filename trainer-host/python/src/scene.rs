@@ -204,7 +204,7 @@ impl Scene {
         let limits = Limits { max_gaussians, keep_readable, ..Limits::default() };
         let identity = if identity_stored { import::Identity::Stored } else { import::Identity::PerFrame };
         let clip = clip.map_or(gltf::Clip::First, gltf::Clip::Name);
-        let frames_per_second = fps.unwrap_or(import::FRAMES_PER_SECOND);
+        let frames_per_second = fps.unwrap_or(ImportOptions::FRAMES_PER_SECOND);
         let mesh = gltf::GltfOptions { clip, frames_per_second, samples, seed, ..Default::default() };
         let options = ImportOptions {
             limits,

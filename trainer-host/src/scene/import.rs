@@ -53,9 +53,6 @@ pub use snapshot::Snapshot;
 
 use crate::scene::{Scene, Up};
 
-/// Frame rate where nothing says one.
-pub const FRAMES_PER_SECOND: f64 = 30.0;
-
 /// How to import.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImportOptions {
@@ -64,7 +61,7 @@ pub struct ImportOptions {
     /// What is known of numbered sequences that do not say it themselves.
     pub identity: Identity,
     /// Frame rate of numbered sequences and of single files; without it what the sequence says, or
-    /// [`FRAMES_PER_SECOND`].
+    /// [`ImportOptions::FRAMES_PER_SECOND`].
     pub frames_per_second: Option<f64>,
     /// How animated meshes are sampled.
     pub gltf: gltf::GltfOptions,
@@ -73,9 +70,12 @@ pub struct ImportOptions {
 }
 
 impl ImportOptions {
+    /// Frame rate where nothing says one.
+    pub const FRAMES_PER_SECOND: f64 = 30.0;
+
     /// Frames per second of what does not say it.
     fn rate(&self) -> f64 {
-        self.frames_per_second.unwrap_or(FRAMES_PER_SECOND)
+        self.frames_per_second.unwrap_or(ImportOptions::FRAMES_PER_SECOND)
     }
 }
 
@@ -274,7 +274,7 @@ fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
     let is_stored = index.as_ref().is_some_and(|index| index.identity_stored);
     let identity = if is_stored { Identity::Stored } else { options.identity };
     let written = index.and_then(|index| index.frames_per_second);
-    let rate = options.frames_per_second.or(written).unwrap_or(FRAMES_PER_SECOND);
+    let rate = options.frames_per_second.or(written).unwrap_or(ImportOptions::FRAMES_PER_SECOND);
     let mut scene = sequence::assemble(frames, identity, rate)?;
     scene.notes.extend(notes);
     Ok(Scene { usual_up: up, ..scene })

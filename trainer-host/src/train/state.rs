@@ -9,8 +9,8 @@ use super::{average::Average, density::Pull, finish::Finishing, model::Model};
 
 /// Times that training may fall back before it gives up.
 pub(super) const MOST_RETREATS: u32 = 3;
-/// A mean loss that rose by this much, of about 1 that pictures without anything in common have, has lost what
-/// was there.
+/// A mean loss that rose by this much, of about 1 that pictures without anything in common have, has lost
+/// what was there.
 const MOST_RISE: f64 = 0.3;
 /// Most steps of a training.
 const MOST_STEPS: u32 = 1 << 30;

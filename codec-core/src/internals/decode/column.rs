@@ -185,8 +185,8 @@ fn sum_up(indices: &mut [i32], before: i32) -> i32 {
     })
 }
 
-/// What a symbol of each level from `first` to `level` is weight at `level`; `None` if the index of a
-/// Gaussian of the longest block could saturate, or a weight does not fit.
+/// What one symbol of each level from `first` to `level` weighs, in steps of `level`; `None` if the index of
+/// a Gaussian of the longest block could saturate, or a weight does not fit.
 fn weights(quantiser: &Quantiser, first: Level, level: Level) -> Option<[i16; Level::COUNT]> {
     // A run of the first level may sum up the symbols of a whole block, and where they begin.
     const MOST: i64 = crate::limits::MAX_BLOCK_LEN as i64 + 1;

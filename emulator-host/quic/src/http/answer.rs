@@ -203,9 +203,9 @@ mod tests {
         let open = site().with_allowed_origin(HeaderValue::from_static("*"));
         let ask = |method| answer(&open, &method, "/streams/ten.dgs", &HeaderMap::new()).unwrap();
         assert_eq!(field(&ask(Method::GET), ACCESS_CONTROL_ALLOW_ORIGIN), "*");
-        let asked_before = ask(Method::OPTIONS);
-        assert_eq!(asked_before.status().as_u16(), 204);
-        assert!(field(&asked_before, ACCESS_CONTROL_ALLOW_HEADERS).contains("Range"));
+        let preflight = ask(Method::OPTIONS);
+        assert_eq!(preflight.status().as_u16(), 204);
+        assert!(field(&preflight, ACCESS_CONTROL_ALLOW_HEADERS).contains("Range"));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use bytes::Bytes;
 use emulator_host::{
     Bytes as Size, Nanos, PacketGraph, PacketIndex, Rate, Scheduler, SessionConfig,
     report::{SenderCounts, SenderRow},
-    session::{MediaSender, Outstanding, PathFacts, expected_round_trip},
+    session::{MediaSender, Outstanding, PathFacts},
 };
 use quinn_proto::{Connection, ConnectionStats, Dir, FrameStats, StreamId};
 
@@ -241,7 +241,8 @@ fn elicits(before: &FrameStats, after: &FrameStats) -> bool {
 fn facts(end: &mut End, watch: &Watch, datagram_bytes: u64) -> PathFacts {
     let Some(connection) = end.connection() else { return PathFacts::unknown(datagram_bytes) };
     let observed = watch.look();
-    let smoothed_rtt = expected_round_trip(Clock::span(connection.rtt()), observed.newest_round_trip());
+    let smoothed_rtt = Clock::span(connection.rtt());
+    let smoothed_rtt = PathFacts::expected_round_trip(smoothed_rtt, observed.newest_round_trip());
     let window = Rate::over(Size(connection.congestion_state().window()), smoothed_rtt);
     PathFacts {
         rate: observed.path_rate().map_or(window, |path| window.min(path)),

@@ -62,8 +62,9 @@ pub fn encode(scene: &Scene) -> io::Result<Vec<u8>> {
     write_to_vec(&set, duration, &options, &extras).map_err(io::Error::other)
 }
 
-/// Moves centres to where the format's steps leave them. The writer checks what is decoded against half a step,
-/// and where a centre lies in the middle of two steps the rounding of single precision goes beyond that.
+/// Moves centres to where the format's steps leave them. The writer checks what is decoded against half a
+/// step, and where a centre lies in the middle of two steps the rounding of single precision goes beyond
+/// that.
 fn snap(set: &mut GaussianSet) {
     // As the writer finds its step and where it counts from.
     let mut scales: Vec<f64> = set.scales.iter().map(|scale| f64::from(*scale)).collect();

@@ -1,6 +1,9 @@
 //! Hostile servers: the client refuses them by name within a bound.
 
-use std::pin::Pin;
+use std::{
+    pin::Pin,
+    sync::atomic::{AtomicU32, Ordering},
+};
 
 use dgs_player::Caps;
 use quinn::{RecvStream, SendStream};
@@ -135,5 +138,41 @@ fn a_connection_that_is_lost_is_made_again_and_goes_on_where_it_was() {
         // Both packets are there once, however often they came.
         assert_eq!((played.report.packets, played.report.duplicates), (2, 4));
         assert!(matches!(played.error, Some(PlayError::Lost(_))), "{:?}", played.error);
+    });
+}
+
+#[test]
+fn a_stream_that_grows_is_reconnected_to_and_begins_where_the_server_says() {
+    within(async {
+        let connections = Arc::new(AtomicU32::new(0));
+        let counted = Arc::clone(&connections);
+        let talk = move |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
+            let is_first = counted.fetch_add(1, Ordering::Relaxed) == 0;
+            Box::pin(async move {
+                let _ = send.write_all(&manifest()).await;
+                let begin = ServerMessage::Begin { round: 0, start_us: 1 }.to_bytes();
+                if is_first {
+                    let _ = send.write_all(&begin).await;
+                    for packet in stream().packets() {
+                        let _ = connection.send_datagram_wait(packet.clone().into()).await;
+                    }
+                    tokio::time::sleep(Duration::from_millis(50)).await;
+                    connection.close(0u32.into(), b"moved");
+                } else {
+                    // All is there by now, and where it begins is not said yet.
+                    tokio::time::sleep(Duration::from_millis(100)).await;
+                    let _ = send.write_all(&begin).await;
+                    let _ = connection.closed().await;
+                }
+                drop(receive);
+            })
+        };
+        let again = |config: &mut ClientConfig| {
+            config.reconnects = 1;
+            config.silence = Duration::from_secs(10);
+        };
+        let report = played(talk, again).await.whole().unwrap();
+        assert_eq!((report.connections, connections.load(Ordering::Relaxed)), (2, 2));
+        assert!(report.shown_count >= u64::from(report.frames), "{report:?}");
     });
 }

@@ -21,7 +21,7 @@ const MOMENTS: usize = 5;
 const SLOPES: usize = 3;
 /// Values kept of each pixel until its gradient is made: e, y.
 const VALUES: usize = 2;
-/// Square of the half-width of the rounded tip of the absolute error.
+/// Half-width of the rounded tip of the absolute error.
 const TIP: f32 = 1e-3;
 
 /// Scratch memory of a sweep.
