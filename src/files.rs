@@ -6,6 +6,7 @@
 //! What a killed process left under a temporary name, whoever next writes there removes; a process that a
 //! person interrupts removes it itself.
 
+mod frames;
 mod leftovers;
 
 use std::{
@@ -15,9 +16,9 @@ use std::{
 };
 
 use anyhow::{Context, Result, bail};
-use tempfile::{NamedTempFile, TempDir};
-use trainer_host::import::{SEQUENCE_INDEX, SequenceIndex};
+use tempfile::NamedTempFile;
 
+pub use self::frames::FrameFolder;
 use self::leftovers::Unfinished;
 pub(crate) use self::leftovers::remove_unfinished;
 use crate::output;
@@ -40,6 +41,9 @@ pub(crate) fn is_standard_output(path: &Path) -> bool {
 pub fn check(path: &Path) -> Result<()> {
     if path == Path::new("-") {
         bail!("-: is not written to standard output; name a file (./- is one)");
+    }
+    if path.as_os_str().as_encoded_bytes().ends_with(b"/") {
+        bail!("{}: names a folder; a file is needed", path.display());
     }
     match fs::metadata(path) {
         Ok(found) if found.is_dir() => bail!("{}: is a folder; a file is needed", path.display()),
@@ -74,6 +78,9 @@ pub(crate) fn check_stream(path: &Path, others: &[&Path]) -> Result<()> {
 /// # Errors
 /// That `path` is one of them, or which one is in it.
 pub(crate) fn check_apart(path: &Path, others: &[&Path]) -> Result<()> {
+    if is_standard_output(path) {
+        return Ok(());
+    }
     let resolved = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let is_path = |other: &&&Path| fs::canonicalize(other).map_or(**other == path, |other| other == resolved);
     // A device or a pipe is what it is called.
@@ -215,182 +222,10 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
     if cfg!(unix) { fs::File::open(folder)?.sync_all() } else { Ok(()) }
 }
 
-/// A folder of frames on its way: under a temporary name beside its own until [`FrameFolder::finish`].
-#[derive(Debug)]
-pub struct FrameFolder {
-    target: PathBuf,
-    /// Removed if it is never finished.
-    temporary: TempDir,
-    _unfinished: Unfinished,
-    /// Says that somebody is at work on it.
-    _hold: Option<fs::File>,
-    index: SequenceIndex,
-}
-
-impl FrameFolder {
-    /// Refuses a `target` that [`FrameFolder::create`] would: asked before the work that makes the frames.
-    /// Nothing is made.
-    ///
-    /// # Errors
-    /// As [`FrameFolder::create`].
-    pub fn check(target: &Path, overwrite: bool) -> Result<()> {
-        check_unused(target, overwrite)?;
-        let ancestors = folder_of(target).ancestors();
-        let existing = ancestors.map(or_here).find(|folder| folder.exists()).unwrap_or(Path::new("."));
-        check_folder(existing)?;
-        let failed = || format!("{}: cannot write in this folder", existing.display());
-        tempfile::Builder::new().prefix(&affixes(target).0).tempfile_in(existing).with_context(failed)?;
-        Ok(())
-    }
-
-    /// Begins a folder that will be `target`. A `target` that holds anything is refused; with `overwrite`
-    /// one that holds the frames of its `sequence.json` and nothing else will be replaced.
-    ///
-    /// # Errors
-    /// A `target` that is in use, or cannot be made.
-    pub fn create(target: &Path, overwrite: bool) -> Result<Self> {
-        check_unused(target, overwrite)?;
-        let folder = folder_of(target);
-        fs::create_dir_all(folder)
-            .with_context(|| format!("{}: cannot make this folder", folder.display()))?;
-        let (prefix, suffix) = affixes(target);
-        leftovers::remove(folder, &prefix, suffix);
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(&prefix).suffix(suffix);
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
-        let temporary = builder.tempdir_in(folder);
-        let temporary =
-            temporary.with_context(|| format!("{}: cannot write in this folder", folder.display()))?;
-        let hold = leftovers::hold_folder(temporary.path());
-        let index = SequenceIndex::default();
-        let _unfinished = Unfinished::at(temporary.path());
-        let frames = Self { target: target.to_owned(), temporary, _unfinished, _hold: hold, index };
-        // Whoever finds the folder half made is told so.
-        frames.write_index()?;
-        Ok(frames)
-    }
-
-    /// Adds a frame: a file of this name.
-    ///
-    /// # Errors
-    /// What the system says, with the path.
-    pub fn add(&mut self, name: String, bytes: &[u8]) -> Result<()> {
-        self.put(&name, bytes)?;
-        self.index.files.push(name);
-        Ok(())
-    }
-
-    /// Says of pictures, for people, which cameras they are rendered from.
-    pub(crate) fn name_cameras(&mut self, description: String) {
-        self.index.cameras = Some(description);
-    }
-
-    /// Says of scenes how fast they play, and whether row `i` of each frame is row `i` of the next.
-    pub(crate) fn name_clip(&mut self, frames_per_second: f64, identity_stored: bool) {
-        (self.index.frames_per_second, self.index.identity_stored) =
-            (Some(frames_per_second), identity_stored);
-    }
-
-    /// Gives the folder its name, and says how many frames it holds.
-    ///
-    /// # Errors
-    /// What the system says, with the path; what was there before then stays.
-    pub fn finish(mut self, overwrite: bool) -> Result<usize> {
-        let failed = || format!("{}: cannot write", self.target.display());
-        self.index.frames = self.index.files.len();
-        self.index.complete = true;
-        self.write_index()?;
-        sync_folder(self.temporary.path()).with_context(failed)?;
-        check_unused(&self.target, overwrite)?;
-        let folder = folder_of(&self.target);
-        let replaced = if self.target.exists() {
-            let aside = tempfile::Builder::new().prefix(&affixes(&self.target).0).tempdir_in(folder);
-            let aside = aside.with_context(failed)?;
-            fs::rename(&self.target, aside.path().join("replaced")).with_context(failed)?;
-            Some(aside)
-        } else {
-            None
-        };
-        if let Err(error) = fs::rename(self.temporary.path(), &self.target) {
-            put_back(replaced, &self.target)?;
-            return Err(error).with_context(failed);
-        }
-        sync_folder(folder).with_context(failed)?;
-        Ok(self.index.frames)
-    }
-
-    fn put(&self, name: &str, bytes: &[u8]) -> Result<()> {
-        let path = self.temporary.path().join(name);
-        let put = || -> io::Result<()> {
-            let mut file = fs::File::create(&path)?;
-            file.write_all(bytes)?;
-            file.sync_all()
-        };
-        put().with_context(|| format!("{}: cannot write {name}", self.target.display()))
-    }
-
-    fn write_index(&self) -> Result<()> {
-        self.put(SEQUENCE_INDEX, &serde_json::to_vec_pretty(&self.index)?)
-    }
-}
-
-/// Gives what was moved into `aside` its name again.
-///
-/// # Errors
-/// Where it is, if that fails.
-fn put_back(aside: Option<TempDir>, target: &Path) -> Result<()> {
-    let Some(aside) = aside else { return Ok(()) };
-    let moved = aside.path().join("replaced");
-    fs::rename(&moved, target).map_err(|error| {
-        let _ = aside.keep();
-        anyhow::anyhow!(
-            "{}: cannot write: {error}; what it held before is in {}",
-            target.display(),
-            moved.display()
-        )
-    })
-}
-
-/// Refuses a folder that holds anything, unless it is to be overwritten and holds only its frames.
-fn check_unused(folder: &Path, overwrite: bool) -> Result<()> {
-    if folder == Path::new("-") {
-        bail!("-: standard output is no folder; name one (./- is one)");
-    }
-    let entries = match fs::read_dir(folder) {
-        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(()),
-        Err(e) => {
-            return Err(e).with_context(|| format!("{}: not a folder to write frames to", folder.display()));
-        }
-        Ok(entries) => entries,
-    };
-    let names: io::Result<Vec<String>> =
-        entries.map(|entry| entry.map(|e| e.file_name().to_string_lossy().into_owned())).collect();
-    let names = names.with_context(|| format!("{}: cannot read", folder.display()))?;
-    if names.is_empty() {
-        return Ok(());
-    }
-    if !overwrite {
-        bail!(
-            "{}: holds {} files already; name another folder, or replace the frames in it with --overwrite",
-            folder.display(),
-            names.len()
-        );
-    }
-    let index = fs::read(folder.join(SEQUENCE_INDEX)).unwrap_or_default();
-    let index: SequenceIndex = serde_json::from_slice(&index).unwrap_or_default();
-    match names.iter().find(|name| *name != SEQUENCE_INDEX && !index.files.contains(name)) {
-        None => Ok(()),
-        Some(other) => bail!(
-            "{}: holds {other}, which is no frame of its {SEQUENCE_INDEX}; only a folder of frames alone is \
-             replaced",
-            folder.display()
-        ),
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use trainer_host::import::{SEQUENCE_INDEX, SequenceIndex};
+
     use super::*;
 
     fn names(folder: &Path) -> Vec<String> {

@@ -123,7 +123,7 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
                 damage = Some(format!("{error:#}; what is readable is kept"));
                 scene
             }
-            read => read?,
+            read => read.map_err(hinted)?,
         },
     };
     scene.up = match (args.up, scene.usual_up) {
@@ -163,6 +163,21 @@ fn trained(path: &Path, frames_per_second: Option<f64>) -> Result<Option<Scene>>
     let mut scene = checkpoint.model().scene(checkpoint.frames, rate)?;
     scene.usual_up = Some(checkpoint.up());
     Ok(Some(scene))
+}
+
+/// The error, with the option that helps.
+fn hinted(error: import::ImportError) -> anyhow::Error {
+    let helps = match error.kind {
+        import::ErrorKind::TooLarge if &*error.field == "Gaussian count" => {
+            Some("--max-gaussians accepts more")
+        }
+        _ if error.allowed.contains("finite") => Some("--keep-readable leaves such Gaussians out"),
+        _ => None,
+    };
+    match helps {
+        Some(helps) => anyhow::anyhow!("{error}; {helps}"),
+        None => error.into(),
+    }
 }
 
 fn synth_options(text: &str, args: &SceneArgs) -> Result<synth::SynthOptions> {

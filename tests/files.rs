@@ -65,6 +65,7 @@ fn outputs_are_refused_before_the_work() {
     for (args, says) in [
         (vec!["encode", "none", "--out", "nowhere/x.dgs"], "nowhere: no such folder"),
         (vec!["encode", "none", "--out", "folder.dgs"], "is a folder; a file is needed"),
+        (vec!["render", "none", "--out", "x.png/"], "names a folder; a file is needed"),
         (vec!["decode", "none", "--out", "nowhere/x.ply"], "nowhere: no such folder"),
         (vec!["decode", "none", "--out", "used"], "holds 1 files already"),
         (vec!["decode", "none", "--out", "used", "--overwrite"], "notes.txt"),
@@ -424,6 +425,47 @@ fn what_would_be_ignored_is_refused() {
     let noted =
         ["render", "x.dgs", "-o", "x.png", "--width", "32", "--height", "32", "--fps", "60", "--clip", "1"];
     assert!(ok(at, &noted).contains("x.dgs: is a stream; not used, being for scenes: --fps, --clip"));
+}
+
+#[test]
+fn a_folder_that_holds_the_input_is_not_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["convert", "synth:balls:1000:2", "clip"]);
+    let before = names(&at.join("clip"));
+    ok(at, &["render", "clip", "-o", "pictures", "--width", "32"]);
+    for args in [
+        &["convert", "clip/frame_00000.ply", "clip", "--overwrite"][..],
+        &["render", "clip/frame_00000.ply", "-o", "clip", "--overwrite"],
+        &["compare", "pictures", "pictures", "-o", "pictures", "--overwrite"],
+        &["compare", "pictures/00000.png", "pictures/00001.png", "-o", "pictures", "--overwrite"],
+    ] {
+        let error = refused(at, args);
+        assert!(error.contains("is read or written besides"), "{args:?}: {error}");
+    }
+    assert_eq!(names(&at.join("clip")), before);
+    // Asking whether a folder can be written makes none.
+    refused(at, &["compare", "pictures", "nothing", "-o", "deep/maps"]);
+    assert_eq!(names(at), ["clip", "pictures"]);
+}
+
+#[test]
+fn a_folder_of_frames_comes_back_as_the_clip_that_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["encode", "synth:balls:1000:4", "--fps", "25", "--pictures", "0", "-o", "clip.dgs"]);
+    for verb in [&["convert", "clip.dgs", "converted"][..], &["decode", "clip.dgs", "-o", "decoded"]] {
+        ok(at, verb);
+        let text = ok(at, &["import", verb[verb.len() - 1]]);
+        assert!(text.contains("4 frames at 25 fps") && !text.contains("an epoch of its own"), "{text}");
+    }
+    let text = ok(at, &["import", "decoded", "--fps", "50"]);
+    assert!(text.contains("at 50 fps"), "{text}");
+    // One frame of a stream is the same whether the others are decoded or not.
+    ok(at, &["convert", "clip.dgs", "one.ply", "--frame", "2"]);
+    ok(at, &["convert", "clip.dgs", "chosen.ply", "--frame", "2", "--filter", "opacity>=0"]);
+    assert_eq!(fs::read(at.join("one.ply")).unwrap(), fs::read(at.join("chosen.ply")).unwrap());
+    assert!(refused(at, &["convert", "clip.dgs", "no.ply", "--frame", "4"]).contains("0 to 3 are allowed"));
 }
 
 #[test]

@@ -230,7 +230,7 @@ fn fine_tuning_for_delivery_fixes_its_rules_before_it_starts() {
     let config = r#"{"updates": 4, "worlds": 4, "validation": {"every": 4, "states": 4, "candidates": 1}}"#;
     fs::write(at.join("config.json"), config).unwrap();
     let text = ok(at, &["-o", "out", "--delivery", "config.json", "--references", "8"]);
-    assert!(text.contains("fine-tuned by 4 updates, mixed"), "{text}");
+    assert!(text.contains("4 of 4 updates for delivery, mixed"), "{text}");
     assert!(text.contains("background [0.0, 0.0, 0.0]"), "{text}");
     let registration = fs::read_to_string(at.join("out/registration.json")).unwrap();
     assert!(registration.contains("config_hash") && registration.contains("selection_rule"));

@@ -9,7 +9,7 @@ use emulator_host::{
     link::{Capacity, LossModel, PathConfig, QueueLimit},
     policy::{DeadlineUtility, DeadlineUtilityConfig, Scheduler, SenderView},
     run,
-    session::{Startup, StartupRule},
+    session::{MediaSender, PathFacts, Startup, StartupRule},
     simulate,
     trace::Step,
 };
@@ -193,6 +193,44 @@ fn a_path_that_loses_nothing_is_filled_with_a_short_queue() {
 
 /// A link that carries nothing for five seconds and then all that is asked: what is acknowledged first has
 /// waited for so long, which says nothing of the way.
+/// Nothing is heard for longer than the clip lasts; then all that was sent is found to be lost. Playout that no
+/// receipt has reported is still to begin, so all of it is worth sending again.
+#[test]
+fn what_is_lost_before_playout_is_sent_again_however_long_it_takes() {
+    let graph = Synthetic { frames: 60, ..Synthetic::default() }.build(1).unwrap();
+    let round_trip = Nanos::from_ms(60);
+    let path = PathFacts {
+        rate: Rate::from_mbps(2),
+        smoothed_rtt: round_trip,
+        minimum_rtt: round_trip,
+        ..PathFacts::unknown(1200)
+    };
+    let rules = SessionConfig::default().sending();
+    let scheduler = PolicyKind::DeadlineUtility.build(&graph);
+    let mut sender = MediaSender::new(&graph, scheduler, rules, path, Nanos::ZERO);
+    let sent_until = |sender: &mut MediaSender<_, _>, now: Nanos, first: u64| {
+        sender.advance(now);
+        let packets: Vec<PacketIndex> = std::iter::from_fn(|| sender.next(now)).take(40).collect();
+        for (packet, number) in packets.iter().zip(first..) {
+            sender.on_sent(*packet, number, now);
+        }
+        packets
+    };
+    let first = sent_until(&mut sender, Nanos::from_ms(1), 0);
+    assert_eq!(first.len(), 40);
+    // A plan is made meanwhile, too.
+    let late = Nanos::from_s(4);
+    sent_until(&mut sender, late, 40);
+    for (packet, number) in first.iter().zip(0..) {
+        sender.on_lost(*packet, number, late);
+    }
+    sender.look(path, late);
+    let mut again: Vec<PacketIndex> =
+        (0..4).flat_map(|part| sent_until(&mut sender, late, 100 + 40 * part)).collect();
+    again.retain(|packet| first.contains(packet));
+    assert_eq!(again.len(), first.len());
+}
+
 #[test]
 fn a_link_that_was_dead_when_the_session_began_is_used_once_it_wakes() {
     let spec = Synthetic { frames: 100, rate: Rate::from_kbps(300), clusters: 8, ..Synthetic::default() };

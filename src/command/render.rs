@@ -9,6 +9,7 @@ use serde_json::json;
 
 use crate::{
     args::{Render, RenderBackground},
+    figures::counted,
     files,
     output::VerbOutput,
     pictures::{PictureOutput, PictureRun, PictureWriter},
@@ -78,7 +79,7 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     writer.finish()?;
     drop(progress);
     let count = pictures.len();
-    let mut text = format!("wrote {count} images to {}; {cameras}\n", args.out.display());
+    let mut text = format!("wrote {} to {}; {cameras}\n", counted(count, "image"), args.out.display());
     for note in &notes {
         text += &format!("  note: {note}\n");
     }

@@ -324,8 +324,13 @@ mod tests {
         assert_eq!(placed_by(&CameraArgs::default()).unwrap().views.len(), 8);
         let lone = CameraArgs { fov: Some(30.0), ..CameraArgs::default() };
         assert!(placed_by(&lone).unwrap_err().to_string().contains("--eye or --turntable"));
-        let along = CameraArgs { eye: Some([1.0, 5.0, 0.0]), ..CameraArgs::default() };
-        assert!(format!("{:#}", placed_by(&along).unwrap_err()).contains("--up"));
+        // Straight above, another direction is up in the picture.
+        let above = CameraArgs { eye: Some([1.0, 5.0, 0.0]), ..CameraArgs::default() };
+        let centre = placed_by(&above).unwrap().views[0].camera.centre();
+        assert!((centre[1] - 5.0).abs() < 1e-9, "{centre:?}");
+        let target = Some([1.0, 5.0, 0.0]);
+        let inside = CameraArgs { target, ..above };
+        assert!(format!("{:#}", placed_by(&inside).unwrap_err()).contains("--target"));
     }
 
     #[test]

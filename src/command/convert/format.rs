@@ -142,7 +142,7 @@ impl SceneOutput {
                     folder.add(format!("frame_{number:05}.ply"), &ply)?;
                 }
                 let written = folder.finish(overwrite)?;
-                return Ok(format!("wrote {written} PLY files to {}\n", out.display()));
+                return Ok(format!("wrote {} to {}\n", counted(written, "PLY file"), out.display()));
             }
         };
         let (epoch, t) = frame(only)?;

@@ -79,7 +79,9 @@ pub enum EncodeError {
         found: f64,
     },
     /// No coarseness meets the target.
-    #[error("{option} is {wanted}; coarseness {coarseness}, the furthest that is tried, reaches {reached}")]
+    #[error(
+        "{option} is {wanted}; coarseness {coarseness}, the furthest that is tried, reaches {reached:.2}"
+    )]
     Unreachable {
         /// Which target.
         option: &'static str,
@@ -93,7 +95,7 @@ pub enum EncodeError {
     /// Steps of motion alone, the others being decided, do not meet the target.
     #[error(
         "{option} is {wanted}; {motion} times the usual steps of motion, the furthest that is tried, reach \
-         {reached}"
+         {reached:.2}"
     )]
     UnreachableByMotion {
         /// Which target.
