@@ -192,9 +192,9 @@ fn a_path_that_loses_nothing_is_filled_with_a_short_queue() {
 }
 
 /// A link that carries nothing for five seconds and then all that is asked: what is acknowledged first has
-/// waited for so long, which says nothing of the way.
-/// Nothing is heard for longer than the clip lasts; then all that was sent is found to be lost. Playout that no
-/// receipt has reported is still to begin, so all of it is worth sending again.
+/// waited for so long, which says nothing of the way. Nothing is heard for longer than the clip lasts; then
+/// all that was sent is found to be lost. Playout that no receipt has reported is still to begin, so all of
+/// it is worth sending again.
 #[test]
 fn what_is_lost_before_playout_is_sent_again_however_long_it_takes() {
     let graph = Synthetic { frames: 60, ..Synthetic::default() }.build(1).unwrap();

@@ -66,7 +66,8 @@ fn answer_own(site: &Site, method: &Method, path: &str, fields: &HeaderMap) -> R
             .body(body(method, sentence));
     };
     // A range is one of the bytes as they are.
-    let compressed = site.compressed(path).filter(|_| takes_gzip(fields) && !fields.contains_key(RANGE));
+    let takes = takes_gzip(fields) && !fields.contains_key(RANGE);
+    let compressed = if takes { site.compressed(path, &resource) } else { None };
     let mut response = Response::builder();
     if let Some(bytes) = compressed {
         resource.tag = format!("{}-gzip\"", resource.tag.trim_end_matches('"'));

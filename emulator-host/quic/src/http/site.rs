@@ -72,6 +72,8 @@ pub(super) struct Resource {
     pub(super) content_type: &'static str,
     /// Strong validator (RFC 9110, section 8.8.3): SHA-256 of the bytes, in quotes.
     pub(super) tag: String,
+    /// Whether it is an asset of the page.
+    is_asset: bool,
 }
 
 impl Resource {
@@ -84,7 +86,7 @@ impl Resource {
             let _ = write!(tag, "{byte:02x}");
         }
         tag.push('"');
-        Self { bytes, content_type, tag }
+        Self { bytes, content_type, tag, is_asset: false }
     }
 }
 
@@ -145,16 +147,18 @@ impl Site {
         self.allowed_origin.as_ref()
     }
 
-    /// The asset of `path` compressed by gzip; `None` of anything else: streams are compressed as they are.
-    pub(super) fn compressed(&self, path: &str) -> Option<Bytes> {
-        let path = if path == "/" { &format!("/{INDEX}") } else { path };
-        let (bytes, _) = (self.assets)(path.strip_prefix('/')?)?;
+    /// The bytes of `resource`, which is that of `path`, compressed by gzip, if it is an asset: streams are
+    /// compressed as they are.
+    pub(super) fn compressed(&self, path: &str, resource: &Resource) -> Option<Bytes> {
+        if !resource.is_asset {
+            return None;
+        }
         let lock = || self.compressed.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = lock().get(path) {
             return Some(known.clone());
         }
         let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
-        let made = encoder.write_all(bytes).and_then(|()| encoder.finish());
+        let made = encoder.write_all(&resource.bytes).and_then(|()| encoder.finish());
         // Memory takes everything.
         let made = Bytes::from(made.ok()?);
         lock().insert(path.to_owned(), made.clone());
@@ -166,7 +170,10 @@ impl Site {
         let path = if path == "/" { &format!("/{INDEX}") } else { path };
         let asset = (self.assets)(path.strip_prefix('/')?);
         match asset {
-            Some((bytes, content_type)) => Some(Resource::new(Bytes::from_static(bytes), content_type)),
+            Some((bytes, content_type)) => {
+                let resource = Resource::new(Bytes::from_static(bytes), content_type);
+                Some(Resource { is_asset: true, ..resource })
+            }
             None => self.made.get(path).cloned(),
         }
     }
@@ -203,10 +210,11 @@ mod tests {
         };
         let site = Site::new(assets, std::slice::from_ref(&stream), None).unwrap();
         let mut page = Vec::new();
-        let compressed = site.compressed("/").unwrap();
+        let resource = |path: &str| site.resource(path).unwrap();
+        let compressed = site.compressed("/", &resource("/")).unwrap();
         flate2::read::GzDecoder::new(&compressed[..]).read_to_end(&mut page).unwrap();
         assert_eq!(page, b"page");
-        assert!(site.compressed("/streams/fox.dgs").is_none());
+        assert!(site.compressed("/streams/fox.dgs", &resource("/streams/fox.dgs")).is_none());
         assert_eq!(site.resource("/").unwrap().bytes, "page");
         assert_eq!(site.resource("/streams/fox.dgs").unwrap().bytes, "DGSM");
         for missing in ["", "index.html", "//", "/certificate.sha256", "/streams/..%2ffox.dgs", "/../fox.dgs"]
