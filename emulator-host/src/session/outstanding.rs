@@ -183,8 +183,8 @@ impl Outstanding {
 
     /// Gives up what left `silence` before the receiver was heard last, at `heard_at`, if nothing has arrived
     /// since then either: at the end of a burst nothing later tells what is lost. While nobody is heard, or
-    /// what waited on a link is arriving, nothing is given up. How many were given up; [`MediaSender::look`]
-    /// is to be called after it.
+    /// what waited on a link is arriving, nothing is given up; where the transport repeats by itself, arrivals
+    /// tell nothing of others. How many were given up; [`MediaSender::look`] is to be called after it.
     pub fn expire<G, S>(
         &mut self,
         sender: &mut MediaSender<G, S>,
@@ -196,7 +196,7 @@ impl Outstanding {
         G: Deref<Target = PacketGraph>,
         S: Scheduler,
     {
-        let arrival_at = self.arrival_at;
+        let arrival_at = if self.is_repeated { Nanos::ZERO } else { self.arrival_at };
         let old =
             self.sendings.partition_point(|sending| sending.sent_at.max(arrival_at) + silence <= heard_at);
         let lost: Vec<Sending> = self.sendings.drain(..old).collect();
@@ -265,5 +265,24 @@ mod tests {
         assert_eq!(out.expire(&mut sender, silence, Nanos::from_ms(146), Nanos::from_s(9)), 0);
         assert_eq!(out.expire(&mut sender, silence, Nanos::from_ms(147), Nanos::from_ms(147)), 2);
         assert_eq!((out.lost(), out.bytes()), (4, 0));
+    }
+    #[test]
+    fn what_a_transport_repeats_is_given_up_by_its_age_alone() {
+        let graph = Synthetic { frames: 60, ..Synthetic::default() }.build(1).unwrap();
+        let rules = SessionConfig::default().sending();
+        let scheduler = PolicyKind::Layered.build(&graph);
+        let path = PathFacts { minimum_rtt: Nanos::from_ms(1), ..PathFacts::unknown(1200) };
+        let mut sender = MediaSender::new(&graph, scheduler, rules, path, Nanos::ZERO);
+        let mut out = Outstanding::new();
+        out.set_repeated();
+        let packets = [0, 1, 2].map(|ms| {
+            let packet = sender.next(Nanos::from_ms(ms)).unwrap();
+            out.on_sent(&mut sender, packet, Nanos::from_ms(ms));
+            packet
+        });
+        sender.on_acked(packets[2]);
+        let (silence, later) = (Nanos::from_ms(100), Nanos::from_ms(101));
+        assert_eq!(out.settle(&mut sender, Nanos::from_ms(90)), 0);
+        assert_eq!(out.expire(&mut sender, silence, later, later), 2);
     }
 }

@@ -30,6 +30,8 @@ const EARLY_BYTES: u32 = 1 << 17;
 /// A viewer of a stream that grows, to whom nothing of it was there for so long, has run ahead of who makes
 /// it: it goes back to the newest window that there is.
 const AHEAD: Nanos = Nanos::from_s(1);
+/// A stream that grew is served whole, by another server, if nothing says where it begins for so long.
+const BEGIN_WAIT: Nanos = Nanos::from_s(2);
 /// If there is none that it has not seen for so long, nobody makes the stream any more.
 const STALLED: Duration = Duration::from_secs(10);
 /// Refused datagrams, besides one for each that was taken, before the server is left.
@@ -339,7 +341,8 @@ impl Playback {
     /// Starts playout if enough is there, and shows what is due.
     pub(crate) fn show_due(&mut self, screen: &mut dyn Screen) -> Result<(), PlayError> {
         let now = self.now();
-        let holds = self.unanswered || self.ahead_since.is_some() || (self.grows && !self.begun);
+        let awaits_begin = self.grows && !self.begun && now < BEGIN_WAIT;
+        let holds = self.unanswered || self.ahead_since.is_some() || awaits_begin;
         let Some(player) = self.player.as_mut().filter(|_| !holds) else { return Ok(()) };
         if let Some(pose) = screen.pose() {
             self.receiver.on_pose(pose);
