@@ -183,8 +183,9 @@ impl Outstanding {
 
     /// Gives up what left `silence` before the receiver was heard last, at `heard_at`, if nothing has arrived
     /// since then either: at the end of a burst nothing later tells what is lost. While nobody is heard, or
-    /// what waited on a link is arriving, nothing is given up; where the transport repeats by itself, arrivals
-    /// tell nothing of others. How many were given up; [`MediaSender::look`] is to be called after it.
+    /// what waited on a link is arriving, nothing is given up; where the transport repeats by itself,
+    /// arrivals tell nothing of others. How many were given up; [`MediaSender::look`] is to be called after
+    /// it.
     pub fn expire<G, S>(
         &mut self,
         sender: &mut MediaSender<G, S>,
