@@ -42,13 +42,13 @@ pub fn check(path: &Path) -> Result<()> {
     if path == Path::new("-") {
         bail!("-: is not written to standard output; name a file (./- is one)");
     }
-    if path.as_os_str().as_encoded_bytes().ends_with(b"/") {
-        bail!("{}: names a folder; a file is needed", path.display());
-    }
     match fs::metadata(path) {
         Ok(found) if found.is_dir() => bail!("{}: is a folder; a file is needed", path.display()),
         // A device or a pipe is written to as it is.
         Ok(found) if !found.is_file() => return Ok(()),
+        _ if path.as_os_str().as_encoded_bytes().ends_with(b"/") => {
+            bail!("{}: names a folder; a file is needed", path.display())
+        }
         _ => {}
     }
     temporary(path).map(drop)
