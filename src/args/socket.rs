@@ -60,7 +60,7 @@ pub struct Serve {
     /// Serve no page.
     #[arg(long)]
     pub no_http: bool,
-    /// Let pages of this origin read the streams over HTTP, such as https://example.org, or * for any; else
+    /// Let pages of this origin read the streams over HTTP, such as `https://example.org`, or `*` for any; else
     /// browsers show them to the page of this server alone.
     #[arg(long, value_name = "ORIGIN", value_parser = origin, conflicts_with = "no_http")]
     pub allow_origin: Option<HeaderValue>,
