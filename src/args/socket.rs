@@ -60,8 +60,8 @@ pub struct Serve {
     /// Serve no page.
     #[arg(long)]
     pub no_http: bool,
-    /// Let pages of this origin read the streams over HTTP, such as `https://example.org`, or `*` for any; else
-    /// browsers show them to the page of this server alone.
+    /// Let pages of this origin read the streams over HTTP, such as `https://example.org`, or `*` for any;
+    /// else browsers show them to the page of this server alone.
     #[arg(long, value_name = "ORIGIN", value_parser = origin, conflicts_with = "no_http")]
     pub allow_origin: Option<HeaderValue>,
     /// Name or address that viewers use, for the URL and the certificate [default: the address listened on].
