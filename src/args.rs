@@ -41,7 +41,7 @@ use self::{
 };
 
 /// What programs that call this one go by.
-const EXIT_STATUS: &str = "Exit status: 0 fine, 1 refused (nothing was written), 2 done, but not all of it \
+const EXIT_STATUS: &str = "Exit status: 0 fine, 1 refused, 2 done, but not all of it \
                            (damaged input used as far as it goes, an interrupted training, what a server did \
                            not grant), 64 not a command, 130 interrupted";
 

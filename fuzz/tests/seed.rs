@@ -274,6 +274,7 @@ fn imports() {
     put("ksplat", "floats", &ksplat(4, 0));
     put("ksplat", "bytes", &ksplat(4, 2));
     put("splatv", "three", &splatv(3));
+    put("points_npz", "gsplat", &gsplat_npz());
     put("dynamic_npz", "two", &dynamic_npz());
     let (description, planes) = unity_planes(20);
     put("unity", "description", &[&[0u8][..], description.as_bytes()].concat());
@@ -341,21 +342,29 @@ fn splatv(n: usize) -> Vec<u8> {
     out
 }
 
-/// Two frames of two Gaussians.
-fn dynamic_npz() -> Vec<u8> {
+/// An archive of NumPy arrays: name, shape, how many numbers.
+fn npz<const N: usize>(arrays: [(&str, &str, usize); N]) -> Vec<u8> {
     let npy = |shape: &str, count: usize| {
         let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape}), }}\n");
         let values: Vec<f32> = (0..count).map(|i| 0.25 * i as f32 - 0.5).collect();
         let length = (header.len() as u16).to_le_bytes();
         [b"\x93NUMPY\x01\x00", &length[..], header.as_bytes(), &floats(&values)].concat()
     };
-    zipped(&[
-        ("means3D.npy", npy("2, 2, 3", 12)),
-        ("unnorm_rotations.npy", npy("2, 2, 4", 16)),
-        ("rgb_colors.npy", npy("2, 2, 3", 12)),
-        ("logit_opacities.npy", npy("2, 1", 2)),
-        ("log_scales.npy", npy("2, 3", 6)),
-    ])
+    zipped(&arrays.map(|(name, shape, count)| (name, npy(shape, count))))
+}
+
+/// Two Gaussians of degree 1.
+fn gsplat_npz() -> Vec<u8> {
+    let (means, scales, quats) =
+        (("means.npy", "2, 3", 6), ("scales.npy", "2, 3", 6), ("quats.npy", "2, 4", 8));
+    npz([means, scales, quats, ("opacities.npy", "2", 2), ("sh0.npy", "2, 3", 6), ("shN.npy", "2, 3, 3", 18)])
+}
+
+/// Two frames of two Gaussians.
+fn dynamic_npz() -> Vec<u8> {
+    let (means, rotations) = (("means3D.npy", "2, 2, 3", 12), ("unnorm_rotations.npy", "2, 2, 4", 16));
+    let (opacities, scales) = (("logit_opacities.npy", "2, 1", 2), ("log_scales.npy", "2, 3", 6));
+    npz([means, rotations, ("rgb_colors.npy", "2, 2, 3", 12), opacities, scales])
 }
 
 fn ascii_ply(n: usize) -> Vec<u8> {

@@ -4,7 +4,7 @@ use std::{net::SocketAddr, path::PathBuf};
 
 use clap::Args;
 use dgs_quic::{
-    http::HeaderValue,
+    http::Origin,
     socket::{DEFAULT_PORT, Locator, Pin},
 };
 
@@ -17,14 +17,6 @@ use crate::pictures::VideoCodec;
 /// Where it listens when nothing is said: here alone.
 fn here() -> SocketAddr {
     ([127, 0, 0, 1], DEFAULT_PORT).into()
-}
-
-/// An origin as browsers send it (RFC 6454, 6.1), or `*`.
-fn origin(text: &str) -> Result<HeaderValue, String> {
-    let host = text.strip_prefix("https://").or_else(|| text.strip_prefix("http://"));
-    let is_host = host.is_some_and(|host| !host.is_empty() && !host.contains(['/', '?', '#', '*', ' ']));
-    let header = HeaderValue::from_str(text).ok().filter(|_| text == "*" || is_host);
-    header.ok_or_else(|| "https://HOST[:PORT], http://HOST[:PORT] or * is allowed".to_owned())
 }
 
 /// `dgs serve`.
@@ -62,8 +54,8 @@ pub struct Serve {
     pub no_http: bool,
     /// Let pages of this origin read the streams over HTTP, such as `https://example.org`, or `*` for any;
     /// else browsers show them to the page of this server alone.
-    #[arg(long, value_name = "ORIGIN", value_parser = origin, conflicts_with = "no_http")]
-    pub allow_origin: Option<HeaderValue>,
+    #[arg(long, value_name = "ORIGIN", conflicts_with = "no_http")]
+    pub allow_origin: Option<Origin>,
     /// Name or address that viewers use, for the URL and the certificate [default: the address listened on].
     #[arg(long, value_name = "NAME")]
     pub host: Option<String>,

@@ -51,7 +51,7 @@ use crate::{
 const TRAINED: &str = "the checkpoint is whole; --resume encodes it";
 const ENCODED: &str = "checkpoint and stream are whole; the report is not there";
 
-/// Share of a clip before the first photograph or after the last that nobody minds.
+/// Share of a clip before the first photograph, or after the last, of which nothing is said.
 const UNSEEN: f32 = 0.05;
 /// Shortest side of pictures that are still worth a figure, pixels.
 const LEAST_SIDE: u32 = 32;

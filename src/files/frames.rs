@@ -63,7 +63,7 @@ impl FrameFolder {
         let index = SequenceIndex::default();
         let _unfinished = Unfinished::at(temporary.path());
         let frames = Self { target: target.to_owned(), temporary, _unfinished, _hold: hold, index };
-        // Whoever finds the folder half made is told so.
+        // Until all frames are there, the index says that some are missing.
         frames.write_index()?;
         Ok(frames)
     }

@@ -13,6 +13,5 @@ mod site;
 mod tests;
 mod upgrade;
 
-pub use hyper::header::HeaderValue;
 pub use server::{HttpConfig, HttpError, HttpLimits, HttpReport, HttpServer};
-pub use site::{Assets, Site, SiteError, SiteStream};
+pub use site::{Assets, Origin, Site, SiteError, SiteStream};

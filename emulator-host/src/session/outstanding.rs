@@ -197,16 +197,19 @@ impl Outstanding {
         G: Deref<Target = PacketGraph>,
         S: Scheduler,
     {
-        let arrival_at = if self.is_repeated { Nanos::ZERO } else { self.arrival_at };
-        let old =
-            self.sendings.partition_point(|sending| sending.sent_at.max(arrival_at) + silence <= heard_at);
+        let old = self.sendings.partition_point(|sending| self.quiet_since(sending) + silence <= heard_at);
         let lost: Vec<Sending> = self.sendings.drain(..old).collect();
         self.give_up(sender, 0, &lost, now)
     }
 
     /// When [`Self::expire`] gives something up, if the receiver is heard then and does not name it.
     pub fn expires_at(&self, silence: Nanos) -> Nanos {
-        self.sendings.front().map_or(Nanos::MAX, |sending| sending.sent_at.max(self.arrival_at) + silence)
+        self.sendings.front().map_or(Nanos::MAX, |sending| self.quiet_since(sending) + silence)
+    }
+
+    /// Since when silence tells that `sending` is lost.
+    fn quiet_since(&self, sending: &Sending) -> Nanos {
+        if self.is_repeated { sending.sent_at } else { sending.sent_at.max(self.arrival_at) }
     }
 }
 
@@ -267,6 +270,7 @@ mod tests {
         assert_eq!(out.expire(&mut sender, silence, Nanos::from_ms(147), Nanos::from_ms(147)), 2);
         assert_eq!((out.lost(), out.bytes()), (4, 0));
     }
+
     #[test]
     fn what_a_transport_repeats_is_given_up_by_its_age_alone() {
         let graph = Synthetic { frames: 60, ..Synthetic::default() }.build(1).unwrap();

@@ -11,7 +11,7 @@ use crate::{
 /// Parity of a graph that was not sent yet.
 #[derive(Debug)]
 pub(super) struct ParityQueue {
-    /// Of sets that no member waits of.
+    /// Of sets whose members have all left, or are there.
     ready: VecDeque<PacketIndex>,
     /// Of such sets, but the scheduler did not want it.
     refused: Vec<PacketIndex>,

@@ -26,11 +26,11 @@ use crate::command::socket::runtime;
 
 /// Largest file, bytes.
 const MAX_FILE_BYTES: u64 = 4 << 30;
-/// Longest wait for a connection or an answer, and for the bytes of a part besides what [`SLOWEST_BPS`] takes
-/// for them.
+/// Longest wait for a connection or an answer; the bytes of a part may take as long again, and besides what
+/// they need at [`SLOWEST_BYTES_PER_S`].
 const PATIENCE: Duration = Duration::from_secs(30);
 /// Bytes per second of the slowest path over which parts of a file are waited for.
-const SLOWEST_BPS: u64 = 4 << 10;
+const SLOWEST_BYTES_PER_S: u64 = 4 << 10;
 /// Tries of one request, and what lies between two.
 const TRIES: u32 = 4;
 const PAUSE: Duration = Duration::from_millis(200);
@@ -40,8 +40,9 @@ const ROUND_EVERY: Duration = Duration::from_millis(250);
 const EARLY_PACKETS: usize = 128;
 /// How soon the end of the window is noticed.
 const NOTICE: Duration = Duration::from_millis(50);
-/// How long the end waits for the thread, which may wait for a server.
-const LAST_WORDS: Duration = Duration::from_millis(500);
+/// How long the end waits for the thread: longer than a session takes to say bye, and no longer, since a
+/// file's server may not answer.
+const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// Whether `input` is an address and no path.
 pub(super) fn is_address(input: &str) -> bool {
@@ -344,7 +345,7 @@ fn ask_once(agent: &Agent, url: &str, part: Option<(u64, u64)>) -> Result<Answer
     let mut request = agent.get(url);
     if let Some((from, past)) = part {
         request = request.header("Range", format!("bytes={from}-{}", past.saturating_sub(1)));
-        let longest = PATIENCE + Duration::from_secs((past - from) / SLOWEST_BPS);
+        let longest = PATIENCE + Duration::from_secs((past - from) / SLOWEST_BYTES_PER_S);
         request = request.config().timeout_recv_body(Some(longest)).build();
     }
     let response = request.call()?;

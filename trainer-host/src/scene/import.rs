@@ -27,7 +27,6 @@ pub mod fourdgs;
 pub mod gltf;
 mod gltf_buffers;
 pub mod gltf_splats;
-mod gsplat_npz;
 pub mod ksplat;
 mod limits;
 mod meshopt;
@@ -125,8 +124,9 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
             let beside = |name: &str| read_beside(path, name, options, Format::Gltf);
             gltf::parse(&bytes, beside, &options.gltf, &options.limits).map_err(in_file)
         }
-        Format::PointsNpz => points_npz::parse(&bytes, options.rate(), &options.limits).map_err(in_file),
-        Format::GsplatNpz => gsplat_npz::parse(&bytes, options.rate(), &options.limits).map_err(in_file),
+        Format::PointsNpz | Format::GsplatNpz => {
+            points_npz::parse(&bytes, options.rate(), &options.limits).map_err(in_file)
+        }
         Format::DynamicNpz => dynamic_npz::parse(&bytes, options.rate(), &options.limits).map_err(in_file),
         Format::Deformation => field(&bytes, path, options).map_err(in_file),
         Format::FourDgs => {
@@ -214,7 +214,7 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
         match names {
             Ok(a) if a.has("meta.json") => Format::Sog,
             Ok(a) if a.has(dynamic_npz::MARK) => Format::DynamicNpz,
-            Ok(a) if gsplat_npz::MARKS.iter().all(|mark| a.has(mark)) => Format::GsplatNpz,
+            Ok(a) if points_npz::gsplat::is_in(&a) => Format::GsplatNpz,
             Ok(a) if a.has("means3d.npy") => Format::PointsNpz,
             Ok(_) if deformation::is_field(bytes) => Format::Deformation,
             _ if extension == "npz" => Format::PointsNpz,

@@ -65,7 +65,7 @@ fn answer_own(site: &Site, method: &Method, path: &str, fields: &HeaderMap) -> R
             .header(CONTENT_LENGTH, sentence.len())
             .body(body(method, sentence));
     };
-    // A range is one of the bytes as they are.
+    // Ranges count bytes that are not compressed.
     let takes = takes_gzip(fields) && !fields.contains_key(RANGE);
     let compressed = if takes { site.compressed(path, &resource) } else { None };
     let mut response = Response::builder();
@@ -201,12 +201,15 @@ mod tests {
     fn pages_of_others_read_what_they_are_let_to() {
         assert_eq!(field(&answered(Method::GET, &[]), ACCESS_CONTROL_ALLOW_ORIGIN), "");
         assert_eq!(answered(Method::OPTIONS, &[]).status().as_u16(), 405);
-        let open = site().with_allowed_origin(HeaderValue::from_static("*"));
+        let open = site().with_allowed_origin("*".parse().unwrap());
         let ask = |method| answer(&open, &method, "/streams/ten.dgs", &HeaderMap::new()).unwrap();
         assert_eq!(field(&ask(Method::GET), ACCESS_CONTROL_ALLOW_ORIGIN), "*");
         let preflight = ask(Method::OPTIONS);
         assert_eq!(preflight.status().as_u16(), 204);
         assert!(field(&preflight, ACCESS_CONTROL_ALLOW_HEADERS).contains("Range"));
+        for none in ["", "example.org", "https://", "https://a/b", "https://a, https://b", "https://a\n"] {
+            assert!(none.parse::<crate::http::Origin>().is_err(), "{none:?}");
+        }
     }
 
     #[test]

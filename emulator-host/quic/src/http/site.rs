@@ -4,6 +4,7 @@ use std::{
     collections::BTreeMap,
     fmt::Write as _,
     io::Write as _,
+    str::FromStr,
     sync::{Mutex, PoisonError},
 };
 
@@ -53,6 +54,30 @@ pub enum SiteError {
     List(#[from] serde_json::Error),
 }
 
+/// An origin as browsers send it (RFC 6454, 6.1), such as `https://example.org`, or `*` for any.
+///
+/// # Examples
+/// ```
+/// use dgs_quic::http::Origin;
+///
+/// assert!("https://example.org:8080".parse::<Origin>().is_ok());
+/// assert!("example.org".parse::<Origin>().is_err());
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Origin(HeaderValue);
+
+impl FromStr for Origin {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let host = text.strip_prefix("https://").or_else(|| text.strip_prefix("http://"));
+        let is_host =
+            host.is_some_and(|host| !host.is_empty() && !host.contains(['/', '?', '#', '*', '@', ',', ' ']));
+        let header = HeaderValue::from_str(text).ok().filter(|_| text == "*" || is_host);
+        header.map(Self).ok_or_else(|| "https://HOST[:PORT], http://HOST[:PORT] or * is allowed".to_owned())
+    }
+}
+
 /// Everything that is served.
 #[derive(Debug)]
 pub struct Site {
@@ -60,7 +85,7 @@ pub struct Site {
     /// By path, with its leading slash.
     made: BTreeMap<String, Resource>,
     /// Whose pages besides our own may read what is served.
-    allowed_origin: Option<HeaderValue>,
+    allowed_origin: Option<Origin>,
     /// Assets that were asked for, by path, compressed by gzip.
     compressed: Mutex<BTreeMap<String, Bytes>>,
 }
@@ -136,15 +161,14 @@ impl Site {
         Ok(Self { assets, made, allowed_origin: None, compressed: Mutex::default() })
     }
 
-    /// Lets pages of `origin`, such as `https://example.org`, or of any if it is `*`, read what is served:
-    /// otherwise browsers show it to pages of this server alone.
+    /// Lets pages of `origin` read what is served: otherwise browsers show it to pages of this server alone.
     #[must_use]
-    pub fn with_allowed_origin(self, origin: HeaderValue) -> Self {
+    pub fn with_allowed_origin(self, origin: Origin) -> Self {
         Self { allowed_origin: Some(origin), ..self }
     }
 
     pub(super) fn allowed_origin(&self) -> Option<&HeaderValue> {
-        self.allowed_origin.as_ref()
+        self.allowed_origin.as_ref().map(|origin| &origin.0)
     }
 
     /// The bytes of `resource`, which is that of `path`, compressed by gzip, if it is an asset: streams are
@@ -159,7 +183,7 @@ impl Site {
         }
         let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
         let made = encoder.write_all(&resource.bytes).and_then(|()| encoder.finish());
-        // Memory takes everything.
+        // Writing to memory does not fail.
         let made = Bytes::from(made.ok()?);
         lock().insert(path.to_owned(), made.clone());
         Some(made)

@@ -1,4 +1,5 @@
-//! Reads coloured points with cameras from a NumPy archive, as splat trainers start from.
+//! Reads coloured points with cameras from a NumPy archive, as splat trainers start from; or what gsplat has
+//! made of such.
 //!
 //! Members `means3d` (N×3 floats) and `colors` (N×3 bytes, or floats in 0..=1) are needed; `viewmats`
 //! (C×3×4 or C×4×4 world-to-camera), `Ks` (C×3×3), `width` and `height` make cameras where all four
@@ -9,6 +10,7 @@
 //! Shapes are checked against the limits before any value is unpacked, and memory grows with the values
 //! that have been.
 
+pub(super) mod gsplat;
 pub(super) mod npy;
 
 use codec_core::ShDegree;
@@ -36,6 +38,9 @@ const NEIGHBOURS: usize = 3;
 /// A damaged archive, a missing or misshapen array, or more than `limits` allow.
 pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Scene, ImportError> {
     let mut archive = Archive::new(bytes, limits, FORMAT)?;
+    if gsplat::is_in(&archive) {
+        return gsplat::parse(archive, frames_per_second, limits);
+    }
     let positions = positions(&mut archive, limits)?;
     let count = positions.len();
     let mut columns = Columns::with_capacity(0, ShDegree::ZERO);

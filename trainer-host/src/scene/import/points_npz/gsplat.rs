@@ -7,24 +7,34 @@
 use codec_core::ShDegree;
 
 use super::{
-    Limits,
-    archive::Archive,
-    error::{Format, ImportError},
-    points_npz::npy::Array,
-    snapshot::{Columns, scene_error},
+    super::{
+        Limits,
+        archive::Archive,
+        error::{Format, ImportError},
+        snapshot::{Columns, scene_error},
+    },
+    npy::Array,
 };
 use crate::scene::Scene;
 
 const FORMAT: Format = Format::GsplatNpz;
 /// Members that only archives of this kind have together.
-pub(super) const MARKS: [&str; 2] = ["means.npy", "quats.npy"];
+const MARKS: [&str; 2] = ["means.npy", "quats.npy"];
+
+/// Whether `archive` holds such parameters.
+pub(in super::super) fn is_in(archive: &Archive<'_>) -> bool {
+    MARKS.iter().all(|mark| archive.has(mark))
+}
 
 /// Reads the archive as a scene of one frame.
 ///
 /// # Errors
 /// A damaged archive, a missing or misshapen array, values that are not numbers, or more than `limits` allow.
-pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Scene, ImportError> {
-    let mut archive = Archive::new(bytes, limits, FORMAT)?;
+pub(super) fn parse(
+    mut archive: Archive<'_>,
+    frames_per_second: f64,
+    limits: &Limits,
+) -> Result<Scene, ImportError> {
     let means = Array::open(&mut archive, "means")?;
     let &[n, 3] = means.shape() else { return Err(means.misshapen("N x 3")) };
     limits.gaussians(FORMAT, n as u64)?;
@@ -74,8 +84,8 @@ fn three(v: &[f64]) -> [f32; 3] {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
-    use super::{super::dynamic_npz::tests::archive, *};
+pub(in super::super) mod tests {
+    use super::super::{super::dynamic_npz::tests::archive, Limits, parse};
 
     /// Two Gaussians of degree 1; `edit` may change a member's shape.
     pub fn sample(edit: impl Fn(&str, &str) -> String) -> Vec<u8> {
