@@ -221,7 +221,7 @@ pub struct Encode {
     /// distortion of the clip, MSE + 0.2 (1 - SSIM)); 0 drops what gains nothing (dgs1).
     #[arg(long, value_name = "LAMBDA", value_parser = not_negative, allow_negative_numbers = true)]
     pub truncate: Option<f64>,
-    /// Print bytes and PSNR per window and level (measuring cameras).
+    /// Print bytes and PSNR per window and level (validation cameras).
     #[arg(long)]
     pub table: bool,
     /// Also write everything that was chosen, as JSON: clusters, quantisers, motion, entropy tables, levels.

@@ -138,7 +138,7 @@ fn graph_parts(
         frames: manifest.head().frames,
         frame_interval: Nanos((1e9 / manifest.frames_per_second()).round() as u64),
         manifest_bytes: stream.message().len() as u32,
-        profile: if sliced { graph::Profile::Sliced } else { graph::Profile::AllOrNothing },
+        profile: if sliced { graph::ClosureRule::Sliced } else { graph::ClosureRule::AllOrNothing },
     }
 }
 
@@ -365,10 +365,10 @@ impl Endpoint for WireEndpoint<'_> {
                 let placements = self.map.placements(id.index());
                 if !placements.is_empty() && self.has(id) {
                     let usable = match self.graph.profile() {
-                        graph::Profile::Sliced => {
+                        graph::ClosureRule::Sliced => {
                             placements.iter().all(|m| self.is_usable(&content, m, false))
                         }
-                        graph::Profile::AllOrNothing => {
+                        graph::ClosureRule::AllOrNothing => {
                             self.graph.packets()[packet.at()].groups.iter().any(|&g| snapshot.has_group(g))
                         }
                     };
@@ -426,7 +426,7 @@ mod tests {
         let options = SynthOptions { kind, gaussians: 3000, frames: 20, ..SynthOptions::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let coding = EncodeOptions { window_frames: Some(10), pictures: 0, ..EncodeOptions::default() };
-        let whole = encode::encode(&scene, &coding, &encode::unheard).unwrap().stream;
+        let whole = encode::encode(&scene, &coding, &encode::no_progress).unwrap().stream;
         let map = PacketMap::of(&whole).unwrap();
         let mut useless = 0;
         for missing in 0..whole.packets().len() {

@@ -35,9 +35,9 @@ pub struct VerbOutput {
 
 impl VerbOutput {
     /// Prints its warnings.
-    fn complain(&self) {
+    fn print_status(&self) {
         for warning in &self.warnings {
-            complain(&format!("warning: {warning}"));
+            print_status(&format!("warning: {warning}"));
         }
     }
 }
@@ -71,7 +71,7 @@ fn sentence(error: &anyhow::Error) -> String {
 /// Prints what a verb says and gives its exit status.
 pub fn finish(said: Result<VerbOutput>, json: bool) -> ExitCode {
     let print = |said: VerbOutput| {
-        said.complain();
+        said.print_status();
         let text = if json { format!("{}\n", said.json) } else { said.text };
         print(&text)?;
         Ok(ExitCode::from(if said.damaged { DAMAGED } else { 0 }))
@@ -82,7 +82,7 @@ pub fn finish(said: Result<VerbOutput>, json: bool) -> ExitCode {
 /// As [`finish`], where a picture or a stream is on standard output: what a verb says goes to standard error.
 pub(crate) fn finish_beside_data(said: Result<VerbOutput>) -> ExitCode {
     let print = |said: VerbOutput| {
-        said.complain();
+        said.print_status();
         // Where standard error is closed too, nothing is left to say it on.
         let _ = io::stderr().write_all(said.text.as_bytes());
         Ok(ExitCode::from(if said.damaged { DAMAGED } else { 0 }))
@@ -119,12 +119,12 @@ fn written(result: io::Result<()>) -> Result<()> {
 
 /// The whole chain as one sentence: file, place, what was found, what is allowed.
 fn refuse(error: &anyhow::Error) -> ExitCode {
-    complain(&sentence(error));
+    print_status(&sentence(error));
     ExitCode::from(REFUSED)
 }
 
 /// One line on standard error; nothing where that is closed.
-pub(crate) fn complain(line: &str) {
+pub(crate) fn print_status(line: &str) {
     let _ = writeln!(io::stderr(), "dgs: {line}");
 }
 

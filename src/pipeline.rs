@@ -20,7 +20,7 @@ use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig, policy};
 use render_host::{Camera, Settings};
 use trainer_host::{
     Scene, Stream,
-    encode::{self, Decisions, Encoded, Protection, Quality, Target},
+    encode::{self, Decisions, Encoded, Protection, QuantiserSteps, Target},
     import::{self, gltf::Clip, synth},
     scene::Up,
     stream::PacketMap,
@@ -126,7 +126,7 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
             read => read.map_err(hinted)?,
         },
     };
-    scene.up = match (args.up, scene.usual_up) {
+    scene.up = match (args.up, scene.default_up) {
         (Some(typed), _) => typed.into(),
         (None, usual) => {
             let up = usual.unwrap_or_default();
@@ -161,7 +161,7 @@ fn trained(path: &Path, frames_per_second: Option<f64>) -> Result<Option<Scene>>
         Checkpoint::from_bytes(&std::fs::read(path).with_context(failed)?).with_context(failed)?;
     let rate = frames_per_second.unwrap_or(checkpoint.frames_per_second);
     let mut scene = checkpoint.model().scene(checkpoint.frames, rate)?;
-    scene.usual_up = Some(checkpoint.up());
+    scene.default_up = Some(checkpoint.up());
     Ok(Some(scene))
 }
 
@@ -223,7 +223,7 @@ pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::EncodeOpt
         block_len: args.block_len,
         window_frames: args.window_frames,
         rank: args.rank.unwrap_or(base.rank),
-        quality: Quality::default().scaled(args.coarseness),
+        quality: QuantiserSteps::default().scaled(args.coarseness),
         target: args
             .target_bits_per_gaussian
             .map(Target::BitsPerGaussian)
@@ -259,7 +259,7 @@ pub fn write(scene: &Scene, decisions: &Decisions, quiet: Quiet) -> Result<Encod
     encode::write(scene, decisions, &|stage, share| progress.heard(stage, share)).context("cannot encode")
 }
 
-/// `whole` without the levels that gain less than `lambda` per byte from measuring cameras.
+/// `whole` without the levels that gain less than `lambda` per byte from validation cameras.
 ///
 /// # Errors
 /// If measuring or encoding fails.

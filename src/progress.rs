@@ -68,7 +68,7 @@ impl Progress {
 
     /// Says `line` at once, above the bar.
     pub fn say(&self, line: &str) {
-        self.bar.suspend(|| output::complain(line));
+        self.bar.suspend(|| output::print_status(line));
         if let Some(said_at) = &self.said_at {
             *said_at.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
         }

@@ -22,7 +22,7 @@ use codec_core::{
 };
 use emulator_host::{
     Nanos, Trace,
-    trace::{self, DelayTrace, Direction, Holds, Replay},
+    trace::{self, DelayTrace, Direction, HoldDirection, Replay},
 };
 use trainer_host::{
     Scene, Stream,
@@ -151,7 +151,7 @@ fn damaged_traces() {
         let extension = file.rsplit('.').next().unwrap();
         Some(match extension {
             "mahimahi" => Trace::mahimahi(file, bytes, &limits).err(),
-            "columns" => Trace::two_column(file, bytes, Holds::Forward, &limits).err(),
+            "columns" => Trace::two_column(file, bytes, HoldDirection::Forward, &limits).err(),
             "csv" => Trace::ucc(file, bytes, Direction::Down, &limits).err(),
             "replay" => Replay::load(file, bytes, &limits).err(),
             "delay" => DelayTrace::load(bytes, Nanos::from_ms(10), &limits).err(),
@@ -197,7 +197,7 @@ fn good_stream() -> Stream {
         repair: Protection::xor(4),
         ..EncodeOptions::default()
     };
-    encode(&scene, &options, &trainer_host::encode::unheard).unwrap().stream
+    encode(&scene, &options, &trainer_host::encode::no_progress).unwrap().stream
 }
 
 /// A file around `message` with the packets of `stream`.

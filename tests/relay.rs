@@ -23,9 +23,9 @@ use dgs::{
 };
 use dgs_player::Player;
 use dgs_quic::{
-    moq::{News, PublishConfig, PublishError, PublishReport, play, publish},
+    moq::{PublishConfig, PublishError, PublishEvent, PublishReport, play, publish},
     socket::{
-        ClientConfig, Headless, Identity, Locator, Offer, Played, Scheme, Screen, Trust,
+        ClientConfig, FrameSink, Identity, Locator, NullSink, Played, Scheme, ServedStream, Trust,
         message::StreamChoice,
     },
 };
@@ -58,10 +58,10 @@ fn stream() -> &'static Stream {
     })
 }
 
-fn offer() -> Offer {
+fn offer() -> ServedStream {
     let map = PacketMap::of(stream()).unwrap();
     let graph = pipeline::graph(stream(), &map, None).unwrap();
-    Offer::new("figure", stream(), graph).unwrap()
+    ServedStream::new("figure", stream(), graph).unwrap()
 }
 
 /// Bytes of all packets of level 0, and of all.
@@ -116,10 +116,10 @@ impl Publisher {
         let config = PublishConfig::new(address(relay.port), Trust::Pin(relay.pin));
         let task = tokio::spawn(async move {
             let offers = [offer()];
-            let news = move |news: &News| drop(tell.send(news.clone()));
+            let news = move |news: &PublishEvent| drop(tell.send(news.clone()));
             publish(&config, &offers, async { drop(stopped.await) }, news).await
         });
-        assert!(matches!(heard.recv().await, Some(News::Connected { .. })));
+        assert!(matches!(heard.recv().await, Some(PublishEvent::Connected { .. })));
         Self { stop, task }
     }
 
@@ -145,7 +145,7 @@ struct Decoding {
     frames: Vec<u32>,
 }
 
-impl Screen for Decoding {
+impl FrameSink for Decoding {
     fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String> {
         self.frames.push(frame);
         player.frame(frame).map(drop).map_err(|error| error.to_string())
@@ -207,7 +207,7 @@ fn who_joins_late_gets_what_holds_for_ever_first() {
         let publisher = Publisher::start(relay).await;
         // The attributes were published once, before all this.
         sleep(Duration::from_secs(2 * CLIP_S)).await;
-        let late = play(&subscriber(relay, relay.port), &mut Headless, std::future::pending()).await;
+        let late = play(&subscriber(relay, relay.port), &mut NullSink, std::future::pending()).await;
         let late = late.whole().unwrap();
         assert!(late.startup_reached && late.base_miss_rate < 0.01 && late.shown_count >= 150, "{late:?}");
         publisher.stop().await;
@@ -249,7 +249,7 @@ fn who_relays_is_checked() {
     with_relay(async |relay| {
         let wrong = Identity::self_signed(&["127.0.0.1".to_owned()]).unwrap().pin();
         let config = ClientConfig::new(address(relay.port), Trust::Pin(wrong));
-        let played = play(&config, &mut Headless, std::future::pending()).await;
+        let played = play(&config, &mut NullSink, std::future::pending()).await;
         let said = played.error.unwrap().to_string();
         assert!(said.contains(&relay.pin.to_string()) && said.contains(&wrong.to_string()), "{said}");
         let config = PublishConfig::new(address(relay.port), Trust::Pin(wrong));

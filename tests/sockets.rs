@@ -22,8 +22,9 @@ use dgs::{
 };
 use dgs_player::Player;
 use dgs_quic::socket::{
-    ClientConfig, Headless, Identity, Impairment, Locator, Offer, PlayError, PlayReport, Scheme, Screen,
-    Server, ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport, message::StreamChoice, play,
+    ClientConfig, FrameSink, Identity, Impairment, Locator, NullSink, PlayError, PlayReport, Scheme,
+    ServedStream, Server, ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport,
+    message::StreamChoice, play,
 };
 use emulator_host::{
     Nanos, PolicyKind, Rate,
@@ -48,10 +49,10 @@ fn stream() -> &'static Stream {
     })
 }
 
-fn offer(name: &str) -> Offer {
+fn offer(name: &str) -> ServedStream {
     let map = PacketMap::of(stream()).unwrap();
     let graph = pipeline::graph(stream(), &map, None).unwrap();
-    Offer::new(name, stream(), graph).unwrap()
+    ServedStream::new(name, stream(), graph).unwrap()
 }
 
 /// Runs `test` where sockets have a runtime.
@@ -77,7 +78,7 @@ impl Running {
         Self::serving(identity, limits, impairment, vec![offer("figure"), offer("again")])
     }
 
-    fn offering(offer: Offer) -> Self {
+    fn offering(offer: ServedStream) -> Self {
         let identity = Identity::self_signed(&["127.0.0.1".to_owned()]).unwrap();
         Self::serving(identity, ServerLimits::default(), None, vec![offer])
     }
@@ -86,7 +87,7 @@ impl Running {
         identity: Identity,
         limits: ServerLimits,
         impairment: Option<Impairment>,
-        offers: Vec<Offer>,
+        offers: Vec<ServedStream>,
     ) -> Self {
         let bind = (Ipv4Addr::LOCALHOST, 0).into();
         let policy = PolicyKind::DeadlineUtility;
@@ -116,7 +117,7 @@ impl Running {
 
     /// Plays without pictures.
     async fn play(&self, config: &ClientConfig) -> Result<PlayReport, PlayError> {
-        play(config, &mut Headless, std::future::pending()).await.whole()
+        play(config, &mut NullSink, std::future::pending()).await.whole()
     }
 
     async fn stop(mut self) -> (ServerReport, Vec<ViewerReport>) {
@@ -144,7 +145,7 @@ struct Watching {
     packets: usize,
 }
 
-impl Screen for Watching {
+impl FrameSink for Watching {
     fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String> {
         self.frames.push(frame);
         let ids = (0..player.info().packets).filter_map(codec_core::internals::ids::PacketId::new);
@@ -165,7 +166,7 @@ impl FirstFrame {
     }
 }
 
-impl Screen for FirstFrame {
+impl FrameSink for FirstFrame {
     fn show(&mut self, _player: &mut Player, _frame: u32) -> Result<(), String> {
         if !std::mem::replace(&mut self.said, true) {
             self.shown.add_permits(1);

@@ -26,9 +26,9 @@ use served::{LARGE, SMALL, Served, stream};
 /// Side of the pictures that are compared, pixels.
 const SIDE: u32 = 256;
 /// Least agreement with the renderer of this machine, dB: nearly all channels equal in 8 bits.
-const LEAST_DB: f64 = 50.0;
+const MIN_DB: f64 = 50.0;
 /// Longest wait for a page, seconds: a software adapter on a busy machine takes many for a frame.
-const PATIENCE_S: u32 = 300;
+const PAGE_TIMEOUT_S: u32 = 300;
 /// One browser at a time: each uses all of this machine.
 static TURN: Mutex<()> = Mutex::new(());
 
@@ -52,10 +52,10 @@ impl Page {
     fn play(&mut self, url: &str, side: u32) {
         self.browser.go(url).unwrap();
         let playing = "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0";
-        self.browser.wait(PATIENCE_S, playing).unwrap();
+        self.browser.wait(PAGE_TIMEOUT_S, playing).unwrap();
         self.run("player.style.cssText = 'flex:none;width:256px;height:256px', 0");
         let is_sized = format!("player.shadowRoot.querySelector('canvas').width === {side}");
-        self.browser.wait(PATIENCE_S, &is_sized).unwrap();
+        self.browser.wait(PAGE_TIMEOUT_S, &is_sized).unwrap();
     }
 
     fn blank() -> Option<Self> {
@@ -127,17 +127,17 @@ fn its_pictures_are_those_of_the_renderer() {
     for time in ["0", "0.5", "0.98"] {
         page.run(&format!("player.currentTime = {time}, 0"));
         let db = page.agreement(&mut player, black);
-        assert!(db >= LEAST_DB, "time {time}: {db} dB");
+        assert!(db >= MIN_DB, "time {time}: {db} dB");
     }
     page.run("player.session.turn(40, 8, 256), player.session.zoom(1.6), player.background = '#4080c0', 0");
     let blue = [64.0, 128.0, 192.0].map(|v: f32| v / 255.0);
     let db = page.agreement(&mut player, blue);
-    assert!(db >= LEAST_DB, "turned: {db} dB");
+    assert!(db >= MIN_DB, "turned: {db} dB");
     // The comparison can fail: another frame, another background.
     let before = page.picture();
     page.run("player.currentTime = 0.2, 0");
-    assert!(psnr(&before, &page.expected(&mut player, blue)).unwrap() < LEAST_DB);
-    assert!(page.agreement(&mut player, black) < LEAST_DB);
+    assert!(psnr(&before, &page.expected(&mut player, blue)).unwrap() < MIN_DB);
+    assert!(page.agreement(&mut player, black) < MIN_DB);
     // The base alone.
     let mut base = Player::new(stream(SMALL).message(), &dgs_player::Caps::HOST).unwrap();
     let map = trainer_host::stream::PacketMap::of(&stream(SMALL)).unwrap();
@@ -150,7 +150,7 @@ fn its_pictures_are_those_of_the_renderer() {
     base.push_all(packets);
     page.run("player.quality = 0, 0");
     let db = page.agreement(&mut base, blue);
-    assert!(db >= LEAST_DB, "base alone: {db} dB");
+    assert!(db >= MIN_DB, "base alone: {db} dB");
     page.close();
 }
 
@@ -164,9 +164,9 @@ fn it_plays_scrubs_loops_and_ends() {
         player.addEventListener(name, () => heard.push(name)); 0",
     );
     page.run("player.play(), 0");
-    page.browser.wait(PATIENCE_S, "heard.includes('loop')").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "heard.includes('loop')").unwrap();
     page.run("player.loop = false, player.currentTime = player.duration - 0.1, 0");
-    page.browser.wait(PATIENCE_S, "heard.includes('ended') && player.paused && player.ended").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "heard.includes('ended') && player.paused && player.ended").unwrap();
     page.run("player.currentTime = 0.31, 0");
     assert_eq!(page.number("player.session.frame"), 9.0);
     page.run("player.step(1), player.step(1), 0");
@@ -193,9 +193,9 @@ fn it_plays_scrubs_loops_and_ends() {
     let bar = "player.shadowRoot.querySelector('.bar')";
     assert!(page.number(&format!("{bar}.getBoundingClientRect().height")) <= 72.0);
     page.run("player.loop = true, player.play(), 0");
-    page.browser.wait(PATIENCE_S, &format!("getComputedStyle({bar}).opacity === '0'")).unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, &format!("getComputedStyle({bar}).opacity === '0'")).unwrap();
     page.run("player.pause(), 0");
-    page.browser.wait(PATIENCE_S, &format!("getComputedStyle({bar}).opacity === '1'")).unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, &format!("getComputedStyle({bar}).opacity === '1'")).unwrap();
     page.close();
 }
 
@@ -213,15 +213,18 @@ fn pointers_move_the_camera_and_the_address_keeps_it() {
     page.browser.drag(&path, "right").unwrap();
     let panned = view(&mut page);
     assert!(panned[..3] == turned[..3] && panned[3..] != turned[3..], "{panned:?}");
-    page.browser.wait(PATIENCE_S, "location.hash.includes('view=')").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "location.hash.includes('view=')").unwrap();
     page.run("player.currentTime = 0.4, 0");
-    page.browser.wait(PATIENCE_S, "location.hash.includes('t=0.400')").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "location.hash.includes('t=0.400')").unwrap();
     let hash = page.run("location.hash");
     let url = format!("{}?src=streams/small.dgs{}", page.served.url(), hash.as_str().unwrap());
     page.browser.go("about:blank").unwrap();
     page.browser.go(&url).unwrap();
     page.browser
-        .wait(PATIENCE_S, "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0")
+        .wait(
+            PAGE_TIMEOUT_S,
+            "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0",
+        )
         .unwrap();
     let again = view(&mut page);
     assert!(again.iter().zip(&panned).all(|(a, b)| (a - b).abs() < 1e-4 * b.abs().max(1.0)), "{again:?}");
@@ -233,11 +236,13 @@ fn pointers_move_the_camera_and_the_address_keeps_it() {
 #[test]
 fn ranges_bring_a_file_base_first_and_loss_thins_it() {
     let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1", SIDE) else { return };
-    page.browser.wait(PATIENCE_S, "player.dataset.transport === 'ranges' && player.buffered === 1").unwrap();
+    page.browser
+        .wait(PAGE_TIMEOUT_S, "player.dataset.transport === 'ranges' && player.buffered === 1")
+        .unwrap();
     let whole = page.picture();
     let mut player = stream(LARGE).receive().unwrap();
     let db = page.agreement(&mut player, [0.0; 3]);
-    assert!(db >= LEAST_DB, "what came in pieces: {db} dB");
+    assert!(db >= MIN_DB, "what came in pieces: {db} dB");
     let stand_ins = |page: &mut Page| {
         page.number("player.session.levels()[0] / player.session.levels().reduce((a, b) => a + b)")
     };
@@ -246,7 +251,7 @@ fn ranges_bring_a_file_base_first_and_loss_thins_it() {
     let mut before = f64::INFINITY;
     for (loss, least_db) in [(0.1, 20.0), (0.5, 12.0), (0.95, 8.0)] {
         page.run(&format!("player.impair({{ loss: {loss}, burst: 4, seed: 7 }}), 0"));
-        page.browser.wait(PATIENCE_S, "player.session.packets()[1] > 0").unwrap();
+        page.browser.wait(PAGE_TIMEOUT_S, "player.session.packets()[1] > 0").unwrap();
         // The emulated network delivers when the display next takes a frame.
         page.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(0))))");
         let thinned = page.picture();
@@ -259,13 +264,13 @@ fn ranges_bring_a_file_base_first_and_loss_thins_it() {
     assert!(stand_ins(&mut page) > 0.3);
     // At a bounded rate everything comes in the end.
     page.run("player.impair({ rate: 4e6 }), 0");
-    page.browser.wait(PATIENCE_S, "String(player.session.levels()) === complete").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "String(player.session.levels()) === complete").unwrap();
     page.run("player.impair({}), 0");
     assert!(psnr(&page.picture(), &whole).unwrap().is_infinite());
     // The panel has the same sliders and draws its plot.
     page.run("player.toggleNetwork(), 0");
     page.browser
-        .wait(PATIENCE_S, "/decoded/.test(player.shadowRoot.querySelector('.numbers').textContent)")
+        .wait(PAGE_TIMEOUT_S, "/decoded/.test(player.shadowRoot.querySelector('.numbers').textContent)")
         .unwrap();
     page.close();
 }
@@ -280,7 +285,7 @@ fn a_lost_device_is_another_device_a_moment_later() {
             "globalThis.restored = false; player.addEventListener('devicerestored', () => (restored = true));\
             player.engine.screen.destroy(), 0",
         );
-        page.browser.wait(PATIENCE_S, "restored").unwrap();
+        page.browser.wait(PAGE_TIMEOUT_S, "restored").unwrap();
     }
     assert_eq!(page.number("player.currentTime"), 0.5);
     assert!(psnr(&page.picture(), &before).unwrap().is_infinite());
@@ -300,7 +305,7 @@ fn a_worker_decodes_and_where_there_is_none_the_page() {
     page.run("player.currentTime = 0.5, 0");
     let by_worker = page.picture();
     let db = page.agreement(&mut player, [0.0; 3]);
-    assert!(db >= LEAST_DB, "{db} dB");
+    assert!(db >= MIN_DB, "{db} dB");
     for (query, broken, said) in [
         ("&worker=off", "0", "page: as was wished"),
         ("", "globalThis.Worker = undefined", "page: no workers here"),
@@ -320,13 +325,13 @@ fn a_worker_decodes_and_where_there_is_none_the_page() {
 #[test]
 fn a_decoder_decodes_the_newest_frame_of_the_newest_stream() {
     let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1", SIDE) else { return };
-    page.browser.wait(PATIENCE_S, "player.buffered === 1").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "player.buffered === 1").unwrap();
     page.picture();
     let uploads = page.number("player.session.uploads");
     page.run("{ for (let k = 29; k > 10; k--) player.currentTime = (k + 0.5) / 30; } 0");
     let mut player = stream(LARGE).receive().unwrap();
     let db = page.agreement(&mut player, [0.0; 3]);
-    assert!(db >= LEAST_DB, "{db} dB");
+    assert!(db >= MIN_DB, "{db} dB");
     let decoded = page.number("player.session.uploads") - uploads;
     assert!((1.0..=2.0).contains(&decoded), "{decoded} frames of 19 were decoded");
     // A device is lost, and another stream is wanted, while frames are under way.
@@ -334,15 +339,15 @@ fn a_decoder_decodes_the_newest_frame_of_the_newest_stream() {
         "globalThis.restored = false; player.addEventListener('devicerestored', () => (restored = true));\
         player.play(), player.engine.screen.destroy(), player.src = 'streams/small.dgs', 0",
     );
-    page.browser.wait(PATIENCE_S, "restored && player.session.info()[2] < 2000").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "restored && player.session.info()[2] < 2000").unwrap();
     page.run("globalThis.old = player.session, player.src = 'streams/large.dgs', 0");
     page.run("player.src = 'streams/small.dgs', 0");
     let shown = "player.session !== old && player.buffered === 1 && player.session.info()[2] < 2000 &&\
         player.session.uploads > 0";
-    page.browser.wait(PATIENCE_S, shown).unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, shown).unwrap();
     page.run("player.pause(), player.currentTime = 0.5, 0");
     let db = page.agreement(&mut stream(SMALL).receive().unwrap(), [0.0; 3]);
-    assert!(db >= LEAST_DB, "after all that: {db} dB");
+    assert!(db >= MIN_DB, "after all that: {db} dB");
     assert_eq!(page.run("player.error"), Value::Null);
     page.close();
 }
@@ -357,18 +362,18 @@ fn files_are_chosen_refused_and_removed() {
     let url = format!("{}plain/", page.served.url());
     page.browser.go(&url).unwrap();
     page.browser
-        .wait(PATIENCE_S, "!!(globalThis.player = document.querySelector('dgs-player'))?.engine?.screen")
+        .wait(PAGE_TIMEOUT_S, "!!(globalThis.player = document.querySelector('dgs-player'))?.engine?.screen")
         .unwrap();
     page.browser.choose_file("#pick", &bad).unwrap();
     page.browser
-        .wait(PATIENCE_S, "/file.magic/.test(player.shadowRoot.querySelector('.message').textContent)")
+        .wait(PAGE_TIMEOUT_S, "/file.magic/.test(player.shadowRoot.querySelector('.message').textContent)")
         .unwrap();
     page.browser.choose_file("#pick", &good).unwrap();
-    page.browser.wait(PATIENCE_S, "player.engine.frames > 0 && player.error === null").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "player.engine.frames > 0 && player.error === null").unwrap();
     // On a telephone nothing hangs over the edge, and every control has a name.
     page.browser.resize(390, 844).unwrap();
     page.browser
-        .wait(PATIENCE_S, "innerWidth === 390 && document.documentElement.scrollWidth <= 390")
+        .wait(PAGE_TIMEOUT_S, "innerWidth === 390 && document.documentElement.scrollWidth <= 390")
         .unwrap();
     let controls = "[...player.shadowRoot.querySelectorAll('.bar > *')]";
     let inside = format!(
@@ -381,7 +386,7 @@ fn files_are_chosen_refused_and_removed() {
         "[...player.shadowRoot.querySelectorAll('{parts}')].filter((c) => c.checkVisibility())\
             .map((c) => c.getBoundingClientRect())"
     );
-    page.browser.wait(PATIENCE_S, &format!("{panel}.length > 5")).unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, &format!("{panel}.length > 5")).unwrap();
     let over = format!("{panel}.filter((r) => r.right > 390 || r.left < 0).length");
     assert_eq!(page.number(&over), 0.0);
     let nameless = "[...player.shadowRoot.querySelectorAll('button, input, select, canvas.picture')].filter(\
@@ -403,7 +408,7 @@ fn without_webgpu_there_is_a_sentence() {
     page.browser.go(&url).unwrap();
     let said = "document.querySelector('dgs-player')?.shadowRoot.querySelector('.message')\
         .textContent.includes('WebGPU')";
-    page.browser.wait(PATIENCE_S, said).unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, said).unwrap();
 }
 
 /// Writes the picture of the crate's README.

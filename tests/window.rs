@@ -28,7 +28,7 @@ const SIZE: [u32; 2] = [256, 192];
 /// What the window is given, as typed and in 8 bits.
 const BACKGROUND: (&str, [f32; 3]) = ("0.2,0.4,0.6", [0.2, 0.4, 0.6]);
 /// Least agreement with the renderer of this machine, dB.
-const LEAST_DB: f64 = 50.0;
+const MIN_DB: f64 = 50.0;
 /// Longest wait for a picture: software draws it, on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(120);
 
@@ -95,10 +95,10 @@ fn a_picture_without_a_display_is_the_renderers() {
     let shown = Image::read(&at.join("a.png"), [0.0; 3]).unwrap();
     session.playback_mut().step(7);
     let db = psnr(&shown, &expected(&mut session, SIZE)).unwrap();
-    assert!(db >= LEAST_DB, "{db} dB");
+    assert!(db >= MIN_DB, "{db} dB");
     // The comparison can fail: another frame.
     session.playback_mut().step(1);
-    assert!(psnr(&shown, &expected(&mut session, SIZE)).unwrap() < LEAST_DB);
+    assert!(psnr(&shown, &expected(&mut session, SIZE)).unwrap() < MIN_DB);
     // The base alone, painted by level.
     let more = ["--background", BACKGROUND.0, "--at", "8", "--level", "0", "--overlay"];
     ok(at, &[out.as_slice(), &more].concat());
@@ -106,7 +106,7 @@ fn a_picture_without_a_display_is_the_renderers() {
     session.set_overlay(Overlay::Levels);
     let shown = Image::read(&at.join("a.png"), [0.0; 3]).unwrap();
     let db = psnr(&shown, &expected(&mut session, SIZE)).unwrap();
-    assert!(db >= LEAST_DB, "base alone: {db} dB");
+    assert!(db >= MIN_DB, "base alone: {db} dB");
     let error = refused(at, &[out.as_slice(), &["--at", "30"]].concat());
     assert!(error.contains("--at is 30; a.dgs has frames 0 to 29"), "{error}");
     let error = refused(at, &["view", "a.dgs", "--screenshot", "a.jpg"]);
@@ -144,7 +144,7 @@ impl Shown {
         let end = Instant::now() + PATIENCE;
         loop {
             let db = psnr(&self.display.picture(self.size[0], self.size[1]), &expected).unwrap();
-            if db >= LEAST_DB {
+            if db >= MIN_DB {
                 return;
             }
             assert!(Instant::now() < end, "{what}: {db} dB");
@@ -157,7 +157,7 @@ impl Shown {
         let before = self.display.picture(self.size[0], self.size[1]);
         change(&mut self.session);
         // What is to be shown is not what was shown: the comparison can fail.
-        assert!(psnr(&before, &expected(&mut self.session, self.size)).unwrap() < LEAST_DB, "{key}");
+        assert!(psnr(&before, &expected(&mut self.session, self.size)).unwrap() < MIN_DB, "{key}");
         self.display.act(&["key", key]);
         self.settle(key);
     }

@@ -32,7 +32,7 @@ use crate::{
     wire::{
         checked::Checked,
         crc::{Crc32, crc32},
-        manifest::{Manifest, Outline, Sealed},
+        manifest::{Manifest, ManifestHead, Outline},
         receipt::{IdRange, Value},
     },
 };
@@ -72,7 +72,7 @@ impl<'a> Waiting<'a> {
         let have = size_of_val(arena);
         let mut rest = Rest(arena);
         let early = rest.take(caps.early_bytes as usize);
-        let bytes = early.ok_or_else(|| Error::lacking("arena", have, caps.early_bytes as usize))?;
+        let bytes = early.ok_or_else(|| Error::too_small("arena", have, caps.early_bytes as usize))?;
         let (arena, early) = (rest.0, EarlyPackets::new(bytes));
         Ok(Self { arena, early, counters: Counters::default(), caps, crc: crc32, combine })
     }
@@ -120,10 +120,10 @@ impl<'a> Waiting<'a> {
     /// its bytes, what its stream needs.
     fn open(&mut self, message: &[u8]) -> Result<(usize, Outline, Plan)> {
         // Before anything of that size is unpacked; the other caps follow once it is.
-        let sealed = Sealed::parse(message)?.within(&self.caps)?;
+        let sealed = ManifestHead::parse(message)?.within(&self.caps)?;
         let (have, raw_len) = (size_of_val(self.arena), sealed.raw_len);
         let room = self.arena.get_mut(..words_of::<u8>(raw_len));
-        let room = room.ok_or_else(|| Error::lacking("arena", have, raw_len))?;
+        let room = room.ok_or_else(|| Error::too_small("arena", have, raw_len))?;
         let raw = sealed.open(message, self.crc, bytemuck::cast_slice_mut(room))?;
         let manifest = Manifest::parse(raw)?;
         let plan = Plan::of(&manifest, &self.caps)?;
@@ -160,7 +160,7 @@ impl<'a> Waiting<'a> {
         let have = size_of_val(self.arena);
         let bytes: &mut [u8] = bytemuck::cast_slice_mut(self.arena);
         let Some(room) = bytes.get_mut(..raw.len()) else {
-            return Err((self, Error::lacking("arena", have, raw.len())));
+            return Err((self, Error::too_small("arena", have, raw.len())));
         };
         room.copy_from_slice(raw);
         self.play(raw.len(), manifest.outline(), &plan)
@@ -180,7 +180,7 @@ impl<'a> Waiting<'a> {
         let have = words_of::<u8>(self.early.room()).saturating_add(self.arena.len());
         if have < needed {
             let bytes = |words: usize| words.saturating_mul(WORD_BYTES);
-            return Err((self, Error::lacking("arena", bytes(have), bytes(needed))));
+            return Err((self, Error::too_small("arena", bytes(have), bytes(needed))));
         }
         let Self { arena, early, counters, caps, crc, combine } = self;
         let player = Player::divide(arena, raw_len, outline, plan, caps).and_then(|mut player| {
@@ -306,11 +306,11 @@ impl<'a> Player<'a> {
         caps: Caps,
     ) -> Result<Self> {
         let (have, words) = (size_of_val(arena), words_of::<u8>(raw_len));
-        let lacking = || Error::lacking("arena", have, raw_len);
-        let (raw, rest) = arena.split_at_mut_checked(words).ok_or_else(lacking)?;
+        let too_small = || Error::too_small("arena", have, raw_len);
+        let (raw, rest) = arena.split_at_mut_checked(words).ok_or_else(too_small)?;
         // Without the bytes that fill the last word up: they are no part of the manifest.
         let raw: &'a [u8] = bytemuck::cast_slice(raw);
-        let manifest = outline.over(raw.get(..raw_len).ok_or_else(lacking)?)?;
+        let manifest = outline.over(raw.get(..raw_len).ok_or_else(too_small)?)?;
         let parts = plan.divide(rest)?;
         Ok(Self {
             receiver: Receiver::new(parts.receiver, manifest, caps)?,
@@ -343,8 +343,8 @@ impl Player<'_> {
         let (gaussians, sh_rest) = (self.gaussians.get(..decoded.gaussians), self.sh_rest.get(..rest));
         let (have, need) = (self.gaussians.len(), decoded.gaussians);
         // The decoder has filled as many.
-        let lacking = || Error::lacking("decode.out", have, need);
-        let (gaussians, sh_rest) = gaussians.zip(sh_rest).ok_or_else(lacking)?;
+        let too_small = || Error::too_small("decode.out", have, need);
+        let (gaussians, sh_rest) = gaussians.zip(sh_rest).ok_or_else(too_small)?;
         Ok(Frame { gaussians, sh_rest, sh_degree, decoded })
     }
 

@@ -11,14 +11,14 @@
 use std::path::Path;
 
 use codec_core::internals::{
-    closure::{Arrived, Needs, bending_level, initial},
+    closure::{Arrived, Needs, coefficient_level, initial},
     ids::{ClusterId, Level, Span},
     layout::Shape,
     receiver::for_each_cell,
     wire::{
         crc::crc32,
         file,
-        manifest::{self, Manifest, Sealed},
+        manifest::{self, Manifest, ManifestHead},
     },
 };
 
@@ -30,7 +30,7 @@ fn bodies() -> Vec<(String, Vec<u8>)> {
         if path.extension().is_some_and(|extension| extension == "dgs") {
             let bytes = std::fs::read(&path).unwrap();
             let (message, _) = file::manifest(&bytes).unwrap();
-            let mut raw = vec![0; Sealed::parse(message).unwrap().raw_len];
+            let mut raw = vec![0; ManifestHead::parse(message).unwrap().raw_len];
             manifest::open(message, crc32, &mut raw).unwrap();
             bodies.push((path.display().to_string(), raw));
         }
@@ -85,7 +85,7 @@ fn shown(state: &State<'_>, span: Span, cluster: ClusterId, shape: &Shape, block
         Span::Canonical(_) => own.usable(),
         Span::Motion(_) => {
             let epoch = state.manifest.epoch_of(span).unwrap();
-            let bends = bending_level(own, state.mask(Span::Canonical(epoch), cluster, block));
+            let bends = coefficient_level(own, state.mask(Span::Canonical(epoch), cluster, block));
             bends.map_or(usize::from(own.has(Level::BASE)), |level| level.index() + 1)
         }
     };

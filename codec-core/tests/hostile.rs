@@ -21,7 +21,7 @@ use codec_core::{
         wire::{
             crc::crc32,
             file::{self, Missing, Record},
-            manifest::{self, Manifest, Sealed},
+            manifest::{self, Manifest, ManifestHead},
             packet::{Chunk, Packet},
         },
     },
@@ -53,7 +53,7 @@ fn without_early(caps: &Caps) -> Caps {
 /// An arena of the length that the stream of `message` needs, which is within what `caps` say of all.
 fn arena(message: &[u8], caps: &Caps) -> Result<Vec<u64>> {
     let caps = without_early(caps);
-    let raw_len = Sealed::parse(message)?.within(&caps)?.raw_len;
+    let raw_len = ManifestHead::parse(message)?.within(&caps)?.raw_len;
     let need = Waiting::new(&mut vec![0; raw_len.div_ceil(8)], caps)?.required(message)?;
     assert!(need.words <= caps.arena_words(), "{} words", need.words);
     Ok(vec![0; need.words])
@@ -162,7 +162,7 @@ fn body_of(name: &str, change: impl FnOnce(&[u8], &Manifest<'_>)) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/conformance").join(name);
     let bytes = std::fs::read(path).unwrap();
     let (message, _) = file::manifest(&bytes).unwrap();
-    let mut raw = vec![0; Sealed::parse(message).unwrap().raw_len];
+    let mut raw = vec![0; ManifestHead::parse(message).unwrap().raw_len];
     manifest::open(message, crc32, &mut raw).unwrap();
     change(&raw, &Manifest::parse(&raw).unwrap());
 }

@@ -1,7 +1,7 @@
 //! Bounds from above what any schedule could show over the same channel.
 //!
-//! The question is a linear programme. Frames are taken in slots of three, and also one by one where that
-//! makes no large programme; y(i, s) in 0..=1 says how much of piece i is there by slot s:
+//! The question is a linear program. Frames are taken in slots of three, and also one by one where that
+//! makes no large program; y(i, s) in 0..=1 says how much of piece i is there by slot s:
 //!
 //! - maximise Σ v(i, s) y(i, s);
 //! - y(i, s) ≤ y(j, s) where i needs j; y(i, s) ≤ y(i, s + 1);
@@ -18,22 +18,22 @@
 //! Σ μ(s) C(s) + Σ max(0, reduced v(i, s)), because no y exceeds 1. The solver may therefore be stopped
 //! whenever: the number holds.
 
-mod programme;
+mod linear_program;
 
-use self::programme::{DATAGRAM_OVERHEAD, Programme, fine_variables};
+use self::linear_program::{DATAGRAM_OVERHEAD, LinearProgram, fine_variables};
 use crate::{
     clock::Nanos,
     graph::{PacketGraph, pieces::Pieces},
     link::PathConfig,
 };
 
-pub use self::programme::UpperBound;
+pub use self::linear_program::UpperBound;
 
 /// Frames per slot.
 const COARSE_SLOT: u32 = 3;
-/// Most variables of a programme with a slot for every frame: beyond it slots save more time than they cost
+/// Most variables of a program with a slot for every frame: beyond it slots save more time than they cost
 /// in tightness.
-const MOST_FINE: usize = 1 << 15;
+const MAX_FINE: usize = 1 << 15;
 /// Bytes of the manifest in one datagram.
 const CHUNK_BYTES: u64 = 1150;
 
@@ -59,12 +59,12 @@ pub fn upper_bound(graph: &PacketGraph, path: &PathConfig, start: Nanos, steps: 
         path.capacity.bytes_until(shown - path.delay).0.saturating_sub(control) as f64
     };
     let pieces = Pieces::new(graph);
-    let coarse = Programme::new(graph, &pieces, COARSE_SLOT, &capacity).solve(steps);
-    if fine_variables(graph, &pieces) > MOST_FINE {
+    let coarse = LinearProgram::new(graph, &pieces, COARSE_SLOT, &capacity).solve(steps);
+    if fine_variables(graph, &pieces) > MAX_FINE {
         return coarse;
     }
     // Tighter, but slower to solve: after few steps the coarse one may be ahead.
-    let fine = Programme::new(graph, &pieces, 1, &capacity).solve(steps);
+    let fine = LinearProgram::new(graph, &pieces, 1, &capacity).solve(steps);
     if fine.utility < coarse.utility { fine } else { coarse }
 }
 
@@ -74,7 +74,7 @@ mod tests {
     use crate::{
         PolicyKind, SessionConfig, Trace,
         clock::{Bytes, Rate},
-        graph::{Profile, Synthetic},
+        graph::{ClosureRule, Synthetic},
         link::Capacity,
         session::{Startup, StartupRule},
         simulate,
@@ -91,7 +91,7 @@ mod tests {
 
     #[test]
     fn no_scheduler_passes_it_at_any_step_and_more_steps_never_raise_it() {
-        for profile in [Profile::AllOrNothing, Profile::Sliced] {
+        for profile in [ClosureRule::AllOrNothing, ClosureRule::Sliced] {
             for seed in 0..3 {
                 let graph = Synthetic { profile, ..bottleneck() }.build(seed).unwrap();
                 let trace = Trace::bursty(seed, Nanos::from_s(20)).scaled(1, 10).unwrap();
@@ -149,7 +149,7 @@ mod tests {
     fn what_comes_with_the_rest_and_harms_counts_against_it() {
         let sound = bottleneck().build(1).unwrap();
         let mut parts =
-            Synthetic { profile: Profile::Sliced, ..bottleneck() }.build(1).unwrap().parts().clone();
+            Synthetic { profile: ClosureRule::Sliced, ..bottleneck() }.build(1).unwrap().parts().clone();
         let bound = |graph: &PacketGraph| {
             let path = PathConfig { capacity: Capacity::Unlimited, ..PathConfig::default() };
             upper_bound(graph, &path, Nanos::from_s(1), 300).utility

@@ -4,9 +4,9 @@
 //! nothing needs itself, and every repair set has parity. So nothing that walks it has an error path.
 //!
 //! Closure, in the two profiles (paper, "Selective recovery and receiver closure"):
-//! - [`Profile::AllOrNothing`]: a group is usable when *all* its packets have arrived and all groups it needs
+//! - [`ClosureRule::AllOrNothing`]: a group is usable when *all* its packets have arrived and all groups it needs
 //!   are usable; a packet is usable when a group that it carries is.
-//! - [`Profile::Sliced`]: a packet is usable when it and, recursively, its [`Packet::needs_packets`] have
+//! - [`ClosureRule::Sliced`]: a packet is usable when it and, recursively, its [`Packet::needs_packets`] have
 //!   arrived; a group is usable (complete) when all its packets have arrived and the groups it needs are
 //!   usable, and earns utility by usable bytes before. (A packet may carry slices of several groups, so it
 //!   can complete one while another still lacks its base.)
@@ -34,7 +34,7 @@ pub use synthetic::{Dependencies, Synthetic, Utilities};
 
 /// Which closure rule holds. See the module's text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Profile {
+pub enum ClosureRule {
     /// The paper's rule.
     AllOrNothing,
     /// One packet is one independently usable slice.
@@ -50,7 +50,7 @@ pub struct Packet {
     pub wire_bytes: u16,
     /// Groups that it carries; empty for a parity packet only.
     pub groups: Vec<GroupIndex>,
-    /// Packets without which this one means nothing ([`Profile::Sliced`] only).
+    /// Packets without which this one means nothing ([`ClosureRule::Sliced`] only).
     pub needs_packets: Vec<PacketIndex>,
     /// The repair set that this packet is parity of.
     pub parity_of: Option<u32>,
@@ -115,7 +115,7 @@ pub struct GraphParts {
     /// Bytes of the reliable manifest.
     pub manifest_bytes: u32,
     /// The closure rule.
-    pub profile: Profile,
+    pub profile: ClosureRule,
 }
 
 /// Most bytes of one packet on the wire.
@@ -372,7 +372,7 @@ impl PacketGraph {
     }
 
     /// The closure rule.
-    pub fn profile(&self) -> Profile {
+    pub fn profile(&self) -> ClosureRule {
         self.parts.profile
     }
 

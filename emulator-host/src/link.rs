@@ -4,7 +4,7 @@
 //! nothing. The caller goes on with `step(None, now)` until no datagram comes out. Time never runs backwards.
 //!
 //! In every box, at every moment, received = delivered + dropped + inside ([`Counts::balanced`]).
-//! Every box that draws has its own random stream, so no box changes another's luck.
+//! Every box that draws has its own random stream, so no box changes another's draws.
 
 mod chain;
 mod delay;
@@ -24,7 +24,7 @@ use crate::clock::Nanos;
 pub use chain::Chain;
 pub use delay::Delay;
 pub use gilbert_elliott::{GilbertElliott, GilbertElliottParams};
-pub use loss::{Losing, Loss};
+pub use loss::{Loss, LossProcess};
 pub use path::{Capacity, LossModel, PathConfig, PathError, Reordering};
 pub use queue::QueueLimit;
 pub use rate::ConstantRate;

@@ -3,7 +3,7 @@
 //!
 //! Every policy sees the same [`SenderView`] and is served by the same sender: control bytes go first, parity
 //! follows the last member of its set, and what can no longer be shown is never sent. Who decides on lost
-//! packets, and how long a queue the sender may cause, is the policy's to say ([`Service`]).
+//! packets, and how long a queue the sender may cause, is the policy's to say ([`SenderRequirements`]).
 
 mod dash;
 mod deadline_utility;
@@ -16,7 +16,7 @@ mod service;
 
 use crate::{
     clock::{Bytes, Nanos, Rate},
-    graph::{GroupIndex, PacketGraph, PacketIndex, Profile},
+    graph::{ClosureRule, GroupIndex, PacketGraph, PacketIndex},
     startup::StartupRule,
     viewpoint::Viewpoint,
 };
@@ -28,7 +28,7 @@ pub use deadline_utility::{
 pub use dependency::Dependency;
 pub use kind::PolicyKind;
 pub use layered::Layered;
-pub use service::Service;
+pub use service::SenderRequirements;
 
 /// What the sender knows of a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -111,7 +111,7 @@ impl SenderView<'_> {
     /// one.
     pub fn is_dead(&self, group: GroupIndex) -> bool {
         let mut packets = self.graph.packets_of(group);
-        self.graph.profile() == Profile::AllOrNothing
+        self.graph.profile() == ClosureRule::AllOrNothing
             && packets.any(|packet| self.status[packet.at()] == PacketStatus::Abandoned)
     }
 }
@@ -127,8 +127,8 @@ pub trait Scheduler {
     fn next(&mut self, view: &SenderView<'_>, now: Nanos) -> Option<PacketIndex>;
 
     /// How the sender is to serve this scheduler.
-    fn service(&self) -> Service {
-        Service::CONVENTIONAL
+    fn service(&self) -> SenderRequirements {
+        SenderRequirements::CONVENTIONAL
     }
 
     /// Whether `parity`, whose set has just been sent, is worth its bytes at `now`.
@@ -155,7 +155,7 @@ impl<S: Scheduler + ?Sized> Scheduler for &mut S {
         (**self).next(view, now)
     }
 
-    fn service(&self) -> Service {
+    fn service(&self) -> SenderRequirements {
         (**self).service()
     }
 
@@ -181,7 +181,7 @@ impl<S: Scheduler + ?Sized> Scheduler for Box<S> {
         (**self).next(view, now)
     }
 
-    fn service(&self) -> Service {
+    fn service(&self) -> SenderRequirements {
         (**self).service()
     }
 

@@ -5,7 +5,7 @@
 
 use crate::{
     clock::Nanos,
-    graph::{GroupIndex, PacketGraph, PacketIndex, Profile},
+    graph::{ClosureRule, GroupIndex, PacketGraph, PacketIndex},
     repair::Repair,
 };
 
@@ -120,7 +120,7 @@ pub struct GraphReceiver<'a> {
     repair: Repair,
     /// Packets and needed groups that each group lacks.
     group_lacks: Vec<u32>,
-    /// Itself and needed packets that each packet lacks ([`Profile::Sliced`]).
+    /// Itself and needed packets that each packet lacks ([`ClosureRule::Sliced`]).
     packet_lacks: Vec<u32>,
     snapshot: Snapshot,
     work: Vec<PacketIndex>,
@@ -170,7 +170,7 @@ impl<'a> GraphReceiver<'a> {
                 }
             });
             self.packet_counts_for_groups(packet);
-            if self.graph.profile() == Profile::Sliced {
+            if self.graph.profile() == ClosureRule::Sliced {
                 self.packet_lacks_one_less(packet);
             }
         }
@@ -206,7 +206,7 @@ impl<'a> GraphReceiver<'a> {
         self.ready_groups.push(group);
         while let Some(group) = self.ready_groups.pop() {
             self.snapshot.insert_group(group);
-            if graph.profile() == Profile::AllOrNothing {
+            if graph.profile() == ClosureRule::AllOrNothing {
                 for packet in graph.packets_of(group) {
                     self.snapshot.insert_packet(packet);
                 }
@@ -278,8 +278,8 @@ pub fn naive_snapshot(graph: &PacketGraph, has_arrived: impl Fn(PacketIndex) -> 
     for packet in everything {
         let facts = &graph.packets()[packet.at()];
         let shown = match graph.profile() {
-            Profile::AllOrNothing => facts.groups.iter().any(|group| snapshot.has_group(*group)),
-            Profile::Sliced => facts.parity_of.is_none() && packet_usable(packet),
+            ClosureRule::AllOrNothing => facts.groups.iter().any(|group| snapshot.has_group(*group)),
+            ClosureRule::Sliced => facts.parity_of.is_none() && packet_usable(packet),
         };
         if shown {
             snapshot.insert_packet(packet);
@@ -305,7 +305,7 @@ mod tests {
 
     #[test]
     fn incremental_closure_equals_the_definition_in_any_order() {
-        for profile in [Profile::AllOrNothing, Profile::Sliced] {
+        for profile in [ClosureRule::AllOrNothing, ClosureRule::Sliced] {
             for repair in [None, Some(4)] {
                 let spec = Synthetic { frames: 60, clusters: 6, profile, repair, ..Synthetic::default() };
                 for seed in 0..4 {

@@ -8,17 +8,17 @@ use rand_pcg::Pcg64;
 
 /// A random stream with one owner.
 #[derive(Clone, Debug)]
-pub struct Stream(Pcg64);
+pub struct RandomStream(Pcg64);
 
 /// The stream of the owner called `label` in the run with `seed`.
-pub fn stream(seed: u64, label: &str) -> Stream {
+pub fn stream(seed: u64, label: &str) -> RandomStream {
     let low = fnv(0xcbf2_9ce4_8422_2325, label.as_bytes());
     let high = fnv(low ^ 0x9e37_79b9_7f4a_7c15, label.as_bytes());
     let state = (u128::from(mix(seed ^ high)) << 64) | u128::from(mix(seed.wrapping_add(low)));
-    Stream(Pcg64::new(state, (u128::from(high) << 64) | u128::from(low)))
+    RandomStream(Pcg64::new(state, (u128::from(high) << 64) | u128::from(low)))
 }
 
-impl Stream {
+impl RandomStream {
     /// 64 uniform bits.
     pub fn bits(&mut self) -> u64 {
         self.0.next_u64()
@@ -33,16 +33,16 @@ impl Stream {
     }
 
     /// True with the given chance. Always draws once, so that luck stays aligned whatever the chance is.
-    pub fn happens(&mut self, chance: Chance) -> bool {
+    pub fn happens(&mut self, chance: Probability) -> bool {
         (self.0.next_u64() >> 32) < chance.0
     }
 }
 
 /// A probability held as an integer in units of 2⁻³², so that a comparison on the event path is exact.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Chance(u64);
+pub struct Probability(u64);
 
-impl Chance {
+impl Probability {
     /// From a probability in 0..=1; `None` for anything else, NaN included.
     pub fn new(probability: f64) -> Option<Self> {
         let legal = (0.0..=1.0).contains(&probability);
@@ -76,12 +76,12 @@ mod tests {
     #[test]
     fn chance_is_honest_at_the_ends_and_in_between() {
         let mut draws = stream(7, "chance");
-        assert!((0..1000).all(|_| !draws.happens(Chance(0))));
-        assert!((0..1000).all(|_| draws.happens(Chance::new(1.0).unwrap())));
-        let quarter = Chance::new(0.25).unwrap();
+        assert!((0..1000).all(|_| !draws.happens(Probability(0))));
+        assert!((0..1000).all(|_| draws.happens(Probability::new(1.0).unwrap())));
+        let quarter = Probability::new(0.25).unwrap();
         let hits = (0..100_000).filter(|_| draws.happens(quarter)).count();
         assert!((24_500..25_500).contains(&hits), "{hits}");
-        assert_eq!(Chance::new(f64::NAN), None);
-        assert_eq!(Chance::new(-0.1), None);
+        assert_eq!(Probability::new(f64::NAN), None);
+        assert_eq!(Probability::new(-0.1), None);
     }
 }

@@ -17,6 +17,7 @@
 mod client;
 mod control;
 mod datagram;
+mod delivery_log;
 mod feedback;
 mod forecast;
 mod ideal;
@@ -24,13 +25,12 @@ mod loss_share;
 mod media_receiver;
 mod media_sender;
 mod metrics;
-mod news;
-mod outlook;
 mod outstanding;
 mod parity_queue;
 mod reported_pose;
 mod run;
 mod sender;
+mod view_state;
 mod viewer;
 mod viewer_path;
 
@@ -47,10 +47,10 @@ pub use crate::startup::{Startup, StartupRule};
 pub use ideal::run_ideal;
 pub use media_receiver::MediaReceiver;
 pub use media_sender::{MediaSender, SendingRules};
-pub use outlook::PathFacts;
 pub use outstanding::Outstanding;
 pub use reported_pose::ReportedPose;
 pub use run::{run, simulate};
+pub use view_state::PathFacts;
 pub use viewer::Viewer;
 pub use viewer_path::ViewerPath;
 

@@ -9,13 +9,13 @@
 
 mod bursty;
 mod delay;
-mod doubts;
 mod lines;
 mod mahimahi;
 mod replay;
 mod steps;
 mod two_column;
 mod ucc;
+mod unit_checks;
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -24,7 +24,7 @@ use crate::clock::{Bytes, Nanos, Rate};
 pub use delay::DelayTrace;
 pub use lines::read;
 pub use replay::{LossTrace, Replay};
-pub use two_column::Holds;
+pub use two_column::HoldDirection;
 pub use ucc::Direction;
 
 /// Bytes that one delivery opportunity moves (mahimahi's MTU).
@@ -199,11 +199,11 @@ pub enum Shape {
 /// ```
 /// use emulator_host::{
 ///     Rate, Trace,
-///     trace::{Holds, Limits},
+///     trace::{HoldDirection, Limits},
 /// };
 ///
 /// // Time in seconds, rate in Mbit/s.
-/// let trace = Trace::two_column("phone", b"0 2\n1 4\n", Holds::Forward, &Limits::default())?;
+/// let trace = Trace::two_column("phone", b"0 2\n1 4\n", HoldDirection::Forward, &Limits::default())?;
 /// assert_eq!(trace.mean_rate(), Rate::from_mbps(3));
 /// # Ok::<(), emulator_host::trace::TraceError>(())
 /// ```

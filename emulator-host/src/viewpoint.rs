@@ -10,7 +10,7 @@ pub struct Viewpoint {
 }
 
 /// Length below which a quaternion says nothing about a direction.
-const LEAST_LENGTH: f64 = 1e-6;
+const MIN_LENGTH: f64 = 1e-6;
 
 impl Viewpoint {
     /// The viewpoint of `pose`, whose quaternion is normalised first; `None` if it has no direction or a
@@ -30,7 +30,7 @@ impl Viewpoint {
         let position = pose.position.map(f64::from);
         let [w, x, y, z] = pose.rotation.map(f64::from);
         let length = (w * w + x * x + y * y + z * z).sqrt();
-        if !(length.is_finite() && length >= LEAST_LENGTH && position.iter().all(|v| v.is_finite())) {
+        if !(length.is_finite() && length >= MIN_LENGTH && position.iter().all(|v| v.is_finite())) {
             return None;
         }
         let [w, x, y, z] = [w, x, y, z].map(|v| v / length);

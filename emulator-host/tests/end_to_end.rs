@@ -6,7 +6,7 @@ use emulator_host::{
     ControllerKind, Endpoint, GraphReceiver, PacketGraph, PacketIndex, PolicyKind, Report, SessionConfig,
     Snapshot, Trace,
     clock::{Nanos, Rate},
-    graph::{Profile, Synthetic, Utilities},
+    graph::{ClosureRule, Synthetic, Utilities},
     link::{Capacity, LossModel, PathConfig, QueueLimit, Reordering},
     policy::{Dependency, Scheduler, SenderView},
     receiver::Arrival,
@@ -93,7 +93,7 @@ fn everything_arrives_on_an_ample_path_under_every_policy() {
 
 #[test]
 fn every_run_is_sane_on_a_hostile_path() {
-    for profile in [Profile::AllOrNothing, Profile::Sliced] {
+    for profile in [ClosureRule::AllOrNothing, ClosureRule::Sliced] {
         for repair in [None, Some(4)] {
             let graph = graph(Synthetic { profile, repair, ..short() }, 2);
             for report in each(&graph, &down(hostile(3))) {

@@ -7,7 +7,7 @@
 use emulator_host::{
     ControllerKind, PacketGraph, PolicyKind, SessionConfig, Trace,
     clock::Nanos,
-    graph::{Profile, Synthetic},
+    graph::{ClosureRule, Synthetic},
     link::{Capacity, LossModel, PathConfig, QueueLimit, Reordering},
     simulate,
 };
@@ -33,7 +33,8 @@ fn hostile() -> PathConfig {
 
 #[test]
 fn every_scheduler_and_controller_runs_as_pinned() {
-    let spec = Synthetic { frames: 120, profile: Profile::Sliced, repair: Some(4), ..Synthetic::default() };
+    let spec =
+        Synthetic { frames: 120, profile: ClosureRule::Sliced, repair: Some(4), ..Synthetic::default() };
     let graph = spec.build(11).unwrap();
     let mut found = String::new();
     for (path, forward) in [("clean", PathConfig::default()), ("hostile", hostile())] {

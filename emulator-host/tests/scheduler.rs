@@ -5,7 +5,7 @@
 use emulator_host::{
     ControllerKind, GraphReceiver, PacketGraph, PacketIndex, PolicyKind, Report, SessionConfig, Trace, bound,
     clock::{Nanos, Rate},
-    graph::{Profile, Synthetic, Utilities},
+    graph::{ClosureRule, Synthetic, Utilities},
     link::{Capacity, LossModel, PathConfig, QueueLimit},
     policy::{DeadlineUtility, DeadlineUtilityConfig, Scheduler, SenderView},
     run,
@@ -65,7 +65,7 @@ fn families(mean: Rate) -> Vec<PathConfig> {
 /// that any schedule could do, in every profile; better than all conventional schedulers on every link.
 #[test]
 fn four_fifths_of_the_distance_to_the_bound_on_six_kinds_of_link() {
-    for profile in [Profile::AllOrNothing, Profile::Sliced] {
+    for profile in [ClosureRule::AllOrNothing, ClosureRule::Sliced] {
         let graph = graph(Synthetic { profile, rate: Rate::from_mbps(1), ..Synthetic::default() }, 5);
         let (mut ours, mut layered, mut best) = (0.0, 0.0, 0.0);
         let (mut base, mut layered_base) = (0.0, 0.0);
@@ -144,8 +144,8 @@ fn the_sender_bounds_the_queue_that_it_causes() {
     let queue = QueueLimit { bytes: 400_000, datagrams: u32::MAX };
     let path =
         PathConfig { capacity: Capacity::Constant(Rate::from_mbps(1)), queue, ..PathConfig::default() };
-    let longest = |own_queue| {
-        let settings = DeadlineUtilityConfig { own_queue, ..Default::default() };
+    let longest = |max_queue_delay| {
+        let settings = DeadlineUtilityConfig { max_queue_delay, ..Default::default() };
         let report = with(&graph, &after_a_second(path.clone(), 1), settings);
         let rows = report.samples.iter().skip(50);
         rows.map(|row| row.smoothed_rtt_ns).max().unwrap()

@@ -10,7 +10,7 @@ use emulator_host::{
     graph::Synthetic,
     link::{Capacity, PathConfig},
     simulate,
-    trace::{self, DelayTrace, Direction, Holds, Limits, Replay, Warning},
+    trace::{self, DelayTrace, Direction, HoldDirection, Limits, Replay, Warning},
 };
 use proptest::prelude::*;
 
@@ -18,8 +18,8 @@ fn all_loaders(bytes: &[u8]) {
     let limits = Limits { points: 5000, ..Limits::default() };
     let traces = [
         Trace::mahimahi("t", bytes, &limits),
-        Trace::two_column("t", bytes, Holds::Forward, &limits),
-        Trace::two_column("t", bytes, Holds::Backward, &limits),
+        Trace::two_column("t", bytes, HoldDirection::Forward, &limits),
+        Trace::two_column("t", bytes, HoldDirection::Backward, &limits),
         Trace::ucc("t", bytes, Direction::Down, &limits),
     ];
     for trace in traces.into_iter().flatten() {
@@ -107,16 +107,16 @@ fn measured_opportunities_have_their_published_means() {
 fn measured_two_column_traces_all_load() {
     let Some(folder) = data() else { return };
     for path in files(&folder.join("wireless_zhuge")) {
-        Trace::two_column("zhuge", &bytes(&path), Holds::Backward, &Limits::default()).unwrap();
+        Trace::two_column("zhuge", &bytes(&path), HoldDirection::Backward, &Limits::default()).unwrap();
     }
     for family in ["fcc", "hsdpa", "oboe", "puffer"] {
         for path in files(&folder.join("broadband_merina").join(family)) {
-            let trace = Trace::two_column(family, &bytes(&path), Holds::Forward, &Limits::default());
+            let trace = Trace::two_column(family, &bytes(&path), HoldDirection::Forward, &Limits::default());
             trace.unwrap_or_else(|error| panic!("{path:?}: {error}"));
         }
     }
     let office = bytes(&folder.join("wireless_zhuge/office-wifi_0.pitree-trace"));
-    let office = Trace::two_column("office", &office, Holds::Backward, &Limits::default()).unwrap();
+    let office = Trace::two_column("office", &office, HoldDirection::Backward, &Limits::default()).unwrap();
     // 27.53 is the mean of the rows; the mean over time weighs each row by how long it holds.
     assert!((mbps(&office) - 27.53).abs() < 0.4, "{}", mbps(&office));
 }

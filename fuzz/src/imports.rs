@@ -177,7 +177,7 @@ pub fn dynamic_npz(data: &[u8]) {
 pub fn deformation(data: &[u8]) {
     const GOOD: &[u8] = include_bytes!("../corpus/deformation/planes");
     let parse = |file: &[u8], options: Option<&[u8]>| {
-        let beside = import::deformation::Beside { gaussians: None, options };
+        let beside = import::deformation::SidecarFiles { gaussians: None, options };
         import::deformation::parse(file, beside, 3, 30.0, &limits(false))
     };
     if data.starts_with(b"Namespace") || data.starts_with(b"{") {

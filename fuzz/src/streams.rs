@@ -48,7 +48,7 @@ pub fn fixture(paper: bool) -> &'static Stream {
         let all = [dgs1(400), EncodeOptions { repair: Protection::xor(4), ..EncodeOptions::paper() }];
         let encoded = |scene: Scene| {
             all.clone()
-                .map(|options| encode(&scene, &options, &trainer_host::encode::unheard).map(|e| e.stream))
+                .map(|options| encode(&scene, &options, &trainer_host::encode::no_progress).map(|e| e.stream))
         };
         scene().into_iter().flat_map(encoded).flatten().collect()
     });
@@ -61,8 +61,9 @@ pub fn cuts() -> &'static [(Stream, Player)] {
     static CUTS: OnceLock<Vec<(Stream, Player)>> = OnceLock::new();
     CUTS.get_or_init(|| {
         let encoded = |scene: Scene| {
-            [200, 1150]
-                .map(|bytes| encode(&scene, &dgs1(bytes), &trainer_host::encode::unheard).map(|e| e.stream))
+            [200, 1150].map(|bytes| {
+                encode(&scene, &dgs1(bytes), &trainer_host::encode::no_progress).map(|e| e.stream)
+            })
         };
         let streams = few().into_iter().flat_map(encoded).flatten();
         let received = |stream: Stream| {
@@ -80,7 +81,7 @@ pub fn small(paper: bool) -> &'static Stream {
         let all = [dgs1(200), EncodeOptions { repair: Protection::xor(4), ..EncodeOptions::paper() }];
         let encoded = |scene: Scene| {
             all.clone()
-                .map(|options| encode(&scene, &options, &trainer_host::encode::unheard).map(|e| e.stream))
+                .map(|options| encode(&scene, &options, &trainer_host::encode::no_progress).map(|e| e.stream))
         };
         few().into_iter().flat_map(encoded).flatten().collect()
     });

@@ -2,7 +2,7 @@
 
 use emulator_host::{
     Nanos, Trace,
-    trace::{DelayTrace, Direction, Holds, Limits, Replay, Shape},
+    trace::{DelayTrace, Direction, HoldDirection, Limits, Replay, Shape},
 };
 
 /// All loaders over the same bytes.
@@ -10,8 +10,8 @@ pub fn trace(data: &[u8]) {
     let limits = Limits { points: 5000, ..Limits::default() };
     let loaded = [
         Trace::mahimahi("t", data, &limits),
-        Trace::two_column("t", data, Holds::Forward, &limits),
-        Trace::two_column("t", data, Holds::Backward, &limits),
+        Trace::two_column("t", data, HoldDirection::Forward, &limits),
+        Trace::two_column("t", data, HoldDirection::Backward, &limits),
         Trace::ucc("t", data, Direction::Down, &limits),
         Trace::ucc("t", data, Direction::Up, &limits),
     ];

@@ -9,7 +9,7 @@ use codec_core::{
             checked::Checked,
             crc::{checked, crc32},
             file as dgs,
-            manifest::{self as dgsm, Manifest, Sealed},
+            manifest::{self as dgsm, Manifest, ManifestHead},
             packet::Packet,
             receipt::{IdRange, Receipt, Value},
         },
@@ -54,7 +54,7 @@ pub fn manifest(data: &[u8]) {
     if data.starts_with(&dgsm::MAGIC) {
         let _ = dgsm::open(data, crc32, &mut []);
         let message = with_crc(&data[..data.len().saturating_sub(4)]);
-        let Ok(sealed) = Sealed::parse(&message) else { return };
+        let Ok(sealed) = ManifestHead::parse(&message) else { return };
         let mut raw = vec![0u8; sealed.raw_len.min(1 << 20)];
         match dgsm::open(&message, crc32, &mut raw) {
             Ok(raw) => {

@@ -116,7 +116,7 @@ mod naive {
 /// A scene in [-1, 1]³ whose scales are 0.012 times a log-normal of σ = 0.4.
 fn cloud(n: usize) -> Scene {
     let mut scene = Scene::random(n, 0, 0.01, 0.02, 42);
-    let mut r = support::Numbers(7);
+    let mut r = support::TestRng(7);
     let mut normal = || {
         let (a, b) = (r.unit().max(1e-9), r.unit());
         (-2.0 * a.ln()).sqrt() * (std::f32::consts::TAU * b).cos()

@@ -19,7 +19,7 @@ pub use differentiator::Differentiator;
 pub use error::BackendError;
 
 use crate::{
-    Camera, Changes, Image, Rendered, Sequence, Settings, Splats,
+    Camera, Changes, Image, Rendered, SequenceRenderer, Settings, Splats,
     counterfactual::{States, Variants, render_worlds},
 };
 #[cfg(feature = "gpu")]
@@ -172,7 +172,7 @@ pub struct FrameRenderer(Inner);
 
 #[derive(Debug)]
 enum Inner {
-    Cpu(Box<Sequence>),
+    Cpu(Box<SequenceRenderer>),
     #[cfg(feature = "gpu")]
     Gpu(Box<OnGpu>),
 }

@@ -57,7 +57,6 @@
 mod answers;
 mod backward;
 mod batch;
-mod bright;
 pub mod brute;
 mod classes;
 mod culling;
@@ -70,6 +69,7 @@ mod hidden;
 mod lanes;
 pub mod levels;
 mod operator;
+mod overflow;
 mod patches;
 mod plan;
 mod segments;

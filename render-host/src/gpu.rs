@@ -43,11 +43,11 @@ mod test_scene;
 mod tiles;
 mod vulkan;
 
-use self::buffers::Growing;
+use self::buffers::GrowableBuffer;
 pub use clock::{Clock, StageTime};
 pub use device::{Device, DeviceFacts, DeviceOptions};
 pub use error::GpuError;
-pub use executor::{Bound, Executor};
+pub use executor::{BoundRecording, Executor};
 pub use lists::Lists;
 pub use presence::Presence;
 pub use recording::{Recording, Workgroups};

@@ -1,7 +1,7 @@
 //! A sequence renders frames of one scene seen by one camera, each from what the one before left.
 //!
 //! Between two frames, or between two delivery states of one frame, most Gaussians often stay what they
-//! were. A [`Sequence`] projects only those that changed, keeps the depth order and the tile lists where
+//! were. A [`SequenceRenderer`] projects only those that changed, keeps the depth order and the tile lists where
 //! nothing moved, mends the lists of the tiles that a few moved splats leave or enter, and blends only
 //! tiles in which something changed. The picture and its [`Counters`](crate::Counters) are those of a
 //! fresh [`render`](crate::render()) of the same frame, bit for bit: what is kept is what would be computed
@@ -37,13 +37,13 @@ pub use changes::Changes;
 /// Tiles blended at a time, so that room stays bounded.
 const BATCH: usize = 1 << 14;
 /// Entries that are kept at most; a picture with more is made afresh.
-const MOST_ENTRIES: u64 = 1 << 26;
+const MAX_ENTRIES: u64 = 1 << 26;
 /// Splats are looked up one by one while at most one drawn splat in this many changed; else one looks at all.
 const FEW: usize = 16;
 
 /// What may be kept between frames. Every choice gives the same picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Reuse {
+pub struct ReuseOptions {
     /// Projections of Gaussians that did not change.
     pub projection: bool,
     /// Depth order and tile lists, where nothing moved or little did.
@@ -52,15 +52,15 @@ pub struct Reuse {
     pub tiles: bool,
 }
 
-impl Default for Reuse {
+impl Default for ReuseOptions {
     fn default() -> Self {
         Self { projection: true, order: true, tiles: true }
     }
 }
 
-/// What the last frame kept and what it made, for judging [`Reuse`].
+/// What the last frame kept and what it made, for judging [`ReuseOptions`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Reused {
+pub struct ReuseCounts {
     /// Gaussians projected.
     pub projected: u64,
     /// Gaussians not projected, because they are what they were.
@@ -85,8 +85,8 @@ pub struct Reused {
 
 /// A renderer that keeps what the frame before made. See the module documentation.
 #[derive(Debug)]
-pub struct Sequence {
-    reuse: Reuse,
+pub struct SequenceRenderer {
+    reuse: ReuseOptions,
     view: Option<View>,
     inputs: Inputs,
     /// Of `inputs`: projection, order, and room for binning.
@@ -101,18 +101,18 @@ pub struct Sequence {
     room: Vec<Tile>,
     most_entries: u64,
     picture: Rendered,
-    reused: Reused,
+    reused: ReuseCounts,
 }
 
-impl Default for Sequence {
+impl Default for SequenceRenderer {
     fn default() -> Self {
-        Self::new(Reuse::default())
+        Self::new(ReuseOptions::default())
     }
 }
 
-impl Sequence {
+impl SequenceRenderer {
     /// A sequence without a frame.
-    pub fn new(reuse: Reuse) -> Self {
+    pub fn new(reuse: ReuseOptions) -> Self {
         Self {
             reuse,
             view: None,
@@ -124,9 +124,9 @@ impl Sequence {
             work: Vec::new(),
             dirty: Vec::new(),
             room: Vec::new(),
-            most_entries: MOST_ENTRIES,
+            most_entries: MAX_ENTRIES,
             picture: Rendered::default(),
-            reused: Reused::default(),
+            reused: ReuseCounts::default(),
         }
     }
 
@@ -149,7 +149,7 @@ impl Sequence {
     }
 
     /// What the last frame kept and made.
-    pub fn reused(&self) -> Reused {
+    pub fn reused(&self) -> ReuseCounts {
         self.reused
     }
 
@@ -175,7 +175,7 @@ impl Sequence {
         let fresh = self.view.as_ref() != Some(&view);
         // Until this frame is whole, there is none to go on from.
         self.view = None;
-        self.reused = Reused::default();
+        self.reused = ReuseCounts::default();
         let size = [camera.width() as usize, camera.height() as usize];
         if fresh {
             self.picture.image.reset(camera.width(), camera.height())?;

@@ -17,7 +17,7 @@ use render_host::{
     reference,
 };
 
-use support::{Numbers, Scene, camera};
+use support::{Scene, TestRng, camera};
 
 /// Largest difference of a channel between backends, away from cut-offs.
 const TOLERANCE: f64 = 1e-4;
@@ -68,7 +68,7 @@ fn both_backends_show_the_same_worlds() {
     let scene = Scene::random(500, 0, 0.01, 0.3, 5);
     let of: Vec<u32> = (0..500).map(|i| i % 24).collect();
     let variants = Variants::new(scene.splats(), &of, 24).unwrap();
-    let mut r = Numbers(3);
+    let mut r = TestRng(3);
     let mut states = States::new(24);
     (0..9).for_each(|_| states.push(|_| r.unit() < 0.7));
     let (camera, settings) = (camera(40, 33), Settings::default());
@@ -105,7 +105,7 @@ fn what_is_chosen_is_what_is_opened() {
 
 /// A photograph of noise, partly transparent.
 fn photograph(width: u32, height: u32, seed: u64) -> Photograph {
-    let mut r = Numbers(seed);
+    let mut r = TestRng(seed);
     let pixel = |_| {
         let alpha = if r.unit() < 0.3 { 0.0 } else { 255.0 * r.unit() };
         let [red, green, blue] = [0; 3].map(|_| (alpha * r.unit()) as u8);

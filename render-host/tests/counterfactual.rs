@@ -11,7 +11,7 @@ use render_host::{
     reference,
 };
 
-use support::{Numbers, Scene, camera};
+use support::{Scene, TestRng, camera};
 
 /// A scene whose groups are cells of space, so that they overlap on the image plane and in depth.
 struct Case {
@@ -28,7 +28,7 @@ impl Case {
         let cell = |p: f32| ((p + 1.0) * 1.5) as usize;
         let group = |p: [f32; 3]| (cell(p[0]) + 3 * cell(p[1]) + 9 * cell(p[2])) % count;
         let groups = scene.gaussians.iter().map(|g| group(g.position) as u32).collect();
-        let mut r = Numbers(seed ^ 0x55);
+        let mut r = TestRng(seed ^ 0x55);
         let rgb = (0..3 * size.0 * size.1).map(|_| r.unit()).collect();
         let against = Image::new(size.0, size.1, rgb).unwrap();
         Self { scene, groups, count, camera: camera(size.0, size.1), against }
@@ -64,7 +64,7 @@ fn variants(case: &Case) -> Variants<'_> {
 }
 
 fn random(count: usize, worlds: usize, seed: u64) -> States {
-    let mut r = Numbers(seed);
+    let mut r = TestRng(seed);
     let mut states = States::new(count);
     (0..worlds).for_each(|_| states.push(|_| r.unit() < 0.7));
     states

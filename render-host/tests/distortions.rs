@@ -10,7 +10,7 @@ use render_host::{
     counterfactual::{Distortions, Engine, Variants, Versions, brute},
 };
 
-use support::{Numbers, Scene, camera};
+use support::{Scene, TestRng, camera};
 
 /// A scene in which clusters, regions of space, show one of up to four versions.
 struct Levels {
@@ -23,7 +23,7 @@ struct Levels {
 
 impl Levels {
     fn new(n: usize, clusters: usize, size: (u32, u32), seed: u64) -> Self {
-        let mut r = Numbers(seed ^ 0x77);
+        let mut r = TestRng(seed ^ 0x77);
         let counts: Vec<u32> = (0..clusters).map(|c| 1 + (c as u32 * 7 + seed as u32 % 5) % 4).collect();
         let versions = Versions::new(&counts).unwrap();
         let mut scene = Scene::random(n, 0, 0.02, 0.15, seed);
@@ -55,8 +55,8 @@ impl Levels {
     }
 
     fn contexts(&self, count: usize, seed: u64) -> Vec<Vec<u32>> {
-        let mut r = Numbers(seed);
-        let version = |c: usize, r: &mut Numbers| (r.unit() * self.versions.count(c) as f32) as u32;
+        let mut r = TestRng(seed);
+        let version = |c: usize, r: &mut TestRng| (r.unit() * self.versions.count(c) as f32) as u32;
         (0..count).map(|_| (0..self.versions.clusters()).map(|c| version(c, &mut r)).collect()).collect()
     }
 

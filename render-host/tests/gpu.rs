@@ -18,7 +18,7 @@ use render_host::{
     reference, render,
 };
 
-use support::{Numbers, Scene, camera};
+use support::{Scene, TestRng, camera};
 
 /// The renderer that all tests share, with run-time checks in every shader; what was drawn before must not
 /// matter. Without an adapter a test is skipped with a notice, and fails in CI.
@@ -150,7 +150,7 @@ proptest! {
     ) {
         let Some(mut renderer) = renderer() else { return Ok(()) };
         let scene = Scene::random(400, 1, 0.01, 0.3, seed);
-        let mut r = Numbers(seed ^ 1);
+        let mut r = TestRng(seed ^ 1);
         let of: Vec<u32> = (0..400).map(|_| (r.unit() * groups as f32) as u32 % groups as u32).collect();
         let mut states = States::new(groups);
         (0..worlds).for_each(|w| states.push(|_| w == 0 || r.unit() < 0.6));
@@ -177,7 +177,7 @@ fn all_128_worlds_equal_serial_renders() {
     let Some(mut renderer) = renderer() else { return };
     let scene = Scene::random(600, 0, 0.02, 0.3, 5);
     let of: Vec<u32> = (0..600).map(|i| i % 24).collect();
-    let mut r = Numbers(3);
+    let mut r = TestRng(3);
     let mut states = States::new(24);
     (0..128).for_each(|_| states.push(|_| r.unit() < 0.7));
     let (camera, settings) = (camera(24, 20), Settings::default());
@@ -333,8 +333,8 @@ proptest! {
         cutoff in prop_oneof![Just(1.0f32 / 255.0), Just(0.0)], antialiased in any::<bool>(),
     ) {
         let Some(mut renderer) = renderer() else { return Ok(()) };
-        let mut r = Numbers(seed);
-        let value = |kind: &usize, r: &mut Numbers| {
+        let mut r = TestRng(seed);
+        let value = |kind: &usize, r: &mut TestRng| {
             POISON.get(*kind).copied().unwrap_or_else(|| r.between(-1.5, 1.5))
         };
         let gaussians: Vec<Gaussian> = fields.iter().map(|f| {

@@ -9,9 +9,9 @@ use std::ops::Range;
 
 use codec_core::{Gaussian, ShDegree};
 use proptest::prelude::*;
-use render_host::{Camera, Changes, Rendered, Reuse, Sequence, Settings, Splats, render};
+use render_host::{Camera, Changes, Rendered, ReuseOptions, SequenceRenderer, Settings, Splats, render};
 
-use support::{Numbers, Scene, camera};
+use support::{Scene, TestRng, camera};
 
 fn bits(r: &Rendered) -> Vec<u32> {
     r.image.rgb().iter().chain(&r.transmittance).map(|v| v.to_bits()).collect()
@@ -23,9 +23,9 @@ fn fresh(scene: &Scene, camera: &Camera, settings: &Settings) -> Rendered {
 }
 
 /// Eight sequences, one for every choice of what is kept.
-fn sequences() -> Vec<Sequence> {
-    let choices = (0..8).map(|i| Reuse { projection: i & 1 > 0, order: i & 2 > 0, tiles: i & 4 > 0 });
-    choices.map(Sequence::new).collect()
+fn sequences() -> Vec<SequenceRenderer> {
+    let choices = (0..8).map(|i| ReuseOptions { projection: i & 1 > 0, order: i & 2 > 0, tiles: i & 4 > 0 });
+    choices.map(SequenceRenderer::new).collect()
 }
 
 /// What happens between two frames.
@@ -64,13 +64,13 @@ struct World {
     camera: Camera,
     settings: Settings,
     changed: Vec<Range<usize>>,
-    r: Numbers,
+    r: TestRng,
 }
 
 impl World {
     fn new(n: usize, degree: u8, seed: u64, settings: Settings) -> Self {
         let scene = Scene::random(n, degree, 0.004, 0.1, seed);
-        Self { scene, camera: camera(120, 90), settings, changed: Vec::new(), r: Numbers(seed ^ 0xeda1) }
+        Self { scene, camera: camera(120, 90), settings, changed: Vec::new(), r: TestRng(seed ^ 0xeda1) }
     }
 
     /// A few neighbours, or many.
@@ -156,7 +156,7 @@ proptest! {
         let settings = Settings { parallel, ..Settings::over([0.1, 0.5, 0.2]) };
         let mut world = World::new(n, degree, seed, settings);
         let (mut blind, mut informed) = (sequences(), sequences());
-        let mut bounded = Sequence::default().keeping_at_most(n as u64);
+        let mut bounded = SequenceRenderer::default().keeping_at_most(n as u64);
         for edits in [Vec::new()].into_iter().chain(edits) {
             world.changed.clear();
             edits.iter().for_each(|&edit| world.apply(edit));
@@ -180,7 +180,7 @@ proptest! {
 #[test]
 fn what_stays_is_reused() {
     let mut world = World::new(3000, 1, 3, Settings::default());
-    let mut sequence = Sequence::default();
+    let mut sequence = SequenceRenderer::default();
     let mut show = |world: &World| {
         let (splats, camera) = (world.scene.splats(), &world.camera);
         let got = sequence.render(&splats, Changes::Unknown, camera, &world.settings).unwrap();
@@ -221,7 +221,7 @@ fn what_stays_is_reused() {
 fn long_lists_are_made() {
     let mut world = World::new(2000, 0, 5, Settings::default());
     world.camera = camera(16, 16);
-    let mut sequence = Sequence::default();
+    let mut sequence = SequenceRenderer::default();
     for frame in 0..4 {
         if frame > 0 {
             world.scene.gaussians[40 * frame] = Gaussian::ABSENT;
@@ -237,7 +237,7 @@ fn long_lists_are_made() {
 #[test]
 fn given_bands_are_looked_at() {
     let world = World::new(400, 2, 8, Settings::default());
-    let mut sequence = Sequence::default();
+    let mut sequence = SequenceRenderer::default();
     let mut before = Vec::new();
     for degree in [2, 0, 1, 1] {
         let bands = vec![degree; 400];
@@ -254,7 +254,7 @@ fn given_bands_are_looked_at() {
 #[test]
 fn a_broken_promise_shows() {
     let mut world = World::new(500, 0, 9, Settings::default());
-    let mut sequence = Sequence::default();
+    let mut sequence = SequenceRenderer::default();
     let mut show = |world: &World, changes: Changes<'_>| {
         bits(sequence.render(&world.scene.splats(), changes, &world.camera, &world.settings).unwrap())
     };
@@ -271,7 +271,7 @@ fn a_broken_promise_shows() {
 #[test]
 fn a_refused_frame_changes_nothing() {
     let world = World::new(300, 0, 2, Settings::default());
-    let mut sequence = Sequence::default();
+    let mut sequence = SequenceRenderer::default();
     let bad = Settings { alpha_max: 7.0, ..Settings::default() };
     sequence.render(&world.scene.splats(), Changes::Unknown, &world.camera, &world.settings).unwrap();
     let before = sequence.picture().clone();

@@ -13,7 +13,7 @@ use render_host::{
     render_many,
 };
 
-use support::{Numbers, Scene, camera};
+use support::{Scene, TestRng, camera};
 
 fn groups(scene: &Scene, count: usize) -> Vec<u32> {
     let cell = |p: f32| ((p + 1.0) * 1.5) as usize;
@@ -22,7 +22,7 @@ fn groups(scene: &Scene, count: usize) -> Vec<u32> {
 }
 
 fn random(count: usize, worlds: usize, seed: u64) -> States {
-    let mut r = Numbers(seed);
+    let mut r = TestRng(seed);
     let mut states = States::new(count);
     (0..worlds).for_each(|_| states.push(|_| r.unit() < 0.7));
     states

@@ -10,7 +10,7 @@ use render_host::{
     counterfactual::{Engine, States, Variants, WorldGradients, brute},
 };
 
-use support::{Numbers, Scene, camera};
+use support::{Scene, TestRng, camera};
 
 struct Case {
     scene: Scene,
@@ -28,7 +28,7 @@ impl Case {
         let cell = |p: f32| ((p + 1.0) * 1.5) as usize;
         let group = |p: [f32; 3]| (cell(p[0]) + 3 * cell(p[1]) + 9 * cell(p[2])) % count;
         let groups = scene.gaussians.iter().map(|g| group(g.position) as u32).collect();
-        let mut r = Numbers(seed ^ 0x55);
+        let mut r = TestRng(seed ^ 0x55);
         let rgb = (0..3 * size.0 * size.1).map(|_| r.unit()).collect();
         let against = Image::new(size.0, size.1, rgb).unwrap();
         let mut states = States::new(count);
@@ -153,7 +153,7 @@ fn nothing_is_differentiated_to_nothing_and_what_is_refused_is_named() {
     let none = engine.gradients(&variants, &States::new(4), &[]).unwrap();
     assert!(none.loss == 0.0 && none.splats.iter().all(|g| *g == SplatGradient::default()));
     let error = engine.gradients(&variants, &case.states, &[1.0]).unwrap_err().to_string();
-    assert!(error.contains("2 finite numbers"), "{error}");
+    assert!(error.contains("2 finite rng"), "{error}");
     assert!(engine.gradients(&variants, &case.states, &[1.0, f64::NAN]).is_err());
     let few = Variants::new(render_host::Splats::plain(&[]), &[], 4).unwrap();
     let error = engine.gradients(&few, &case.states, &[1.0, 1.0]).unwrap_err().to_string();

@@ -38,7 +38,7 @@ pub struct CodecArgs {
     /// Choose the coarseness: at most this many bytes on the wire (manifest, packets and parity).
     #[arg(long, value_name = "BYTES", group = "fineness", value_parser = clap::value_parser!(u64).range(1..))]
     pub target_bytes: Option<u64>,
-    /// Choose the coarseness: at least this PSNR in dB, above 0 and at most 99, from measuring (never
+    /// Choose the coarseness: at least this PSNR in dB, above 0 and at most 99, from validation (never
     /// held-out) cameras.
     #[arg(
         long, value_name = "DB", group = "fineness", value_parser = real(MIN_PSNR_DB..=99.0, "dB"),
@@ -50,7 +50,7 @@ pub struct CodecArgs {
     #[arg(long, default_value_t = PICTURES, value_parser = whole::<usize>(0..=1024, "pictures"))]
     pub pictures: usize,
     /// Spend up to this many trial encodings on how attributes share the bits: fewer bytes at the same PSNR
-    /// from measuring cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
+    /// from validation cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
     #[arg(long, value_name = "ENCODINGS", default_value_t = 0)]
     pub search: usize,
     /// Most Gaussians in a cluster: 1 to 32768.

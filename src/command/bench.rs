@@ -30,7 +30,9 @@ pub fn run(args: &Bench, json: bool) -> Result<ExitCode> {
 fn laboratory(program: &Path) -> Result<Command> {
     let tree = program.ancestors().skip(1).find(|folder| folder.join("tests/lab/Cargo.toml").is_file());
     if let Some(root) = tree {
-        output::complain("bench: cargo builds the laboratory first (profile dist); once, that takes minutes");
+        output::print_status(
+            "bench: cargo builds the laboratory first (profile dist); once, that takes minutes",
+        );
         let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
         cargo.args(["run", "--quiet", "--profile", "dist", "--package", "dgs-lab", "--manifest-path"]);
         cargo.arg(root.join("Cargo.toml")).arg("--");

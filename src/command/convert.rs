@@ -41,7 +41,7 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let scene = edited(args, scene, &progress, &mut warnings)?;
     let damaged = !warnings.is_empty();
     progress.stage("turning", 0.5);
-    let (scene, turned) = turned(args, scene, output.usual_up())?;
+    let (scene, turned) = turned(args, scene, output.default_up())?;
     progress.stage("writing", 0.6);
     let degree = scene.epochs().iter().map(|epoch| epoch.attributes().sh_degree).max().unwrap_or_default();
     warnings.extend(output.losses(degree, scene.footprint));

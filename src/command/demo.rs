@@ -89,9 +89,9 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let content = received.content();
 
     let framing = Framing::of(&scene);
-    let measuring = framing.ring(Ring::Measuring, 3, (128, 128))?;
+    let validation = framing.ring(Ring::Validation, 3, (128, 128))?;
     let gain_cameras = utility::gain_cameras(&scene)?;
-    let sources = utility::References::renders(&scene, &measuring, &gain_cameras);
+    let sources = utility::References::renders(&scene, &validation, &gain_cameras);
     let options =
         utility::UtilityOptions { contexts: args.contexts.max(1), ..utility::UtilityOptions::paper() };
     let cache = args.out.join(UTILITIES);

@@ -169,7 +169,7 @@ fn target_views(args: &Encode, scene: &Scene) -> Result<Option<(TargetViews, Str
     let mut around = Surroundings {
         own: &[],
         framing: &mut || Ok(Framing::of(scene)),
-        ring: (Ring::Measuring, TARGET_CAMERAS),
+        ring: (Ring::Validation, TARGET_CAMERAS),
         size: TARGET_SIZE,
         up: scene.up,
     };
@@ -203,7 +203,7 @@ fn utilities(
     if let Some(photographs) = photographs {
         return measure(&References::Photographs(photographs)).context("--photographs");
     }
-    let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (160, 160))?;
+    let cameras = Framing::of(scene).ring(Ring::Validation, 3, (160, 160))?;
     measure(&References::renders(scene, &cameras, &gain_cameras(scene)?))
 }
 
@@ -331,7 +331,7 @@ fn report_table(report: &Report, packets: &PacketReport) -> String {
     }
     if let Some(searched) = report.searched {
         text += &format!(
-            "  search: {} encodings, {} {:+.2} % bytes, {:+.2} dB from measuring cameras\n",
+            "  search: {} encodings, {} {:+.2} % bytes, {:+.2} dB from validation cameras\n",
             searched.encodes,
             if searched.is_better { "kept," } else { "nothing better:" },
             100.0 * (searched.bits - 1.0),

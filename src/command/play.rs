@@ -8,7 +8,7 @@ use codec_core::{
     internals::{ids::Level, wire::receipt::ViewerPose},
 };
 use dgs_player::StreamInfo;
-use dgs_quic::socket::{ClientConfig, Conditions, Granted, PlayReport, Scheme, Screen, play};
+use dgs_quic::socket::{ClientConfig, Conditions, FrameSink, Granted, PlayReport, Scheme, play};
 use render_host::metric;
 use serde::Serialize;
 use serde_json::json;
@@ -42,7 +42,7 @@ struct States<'a> {
     next: u32,
 }
 
-impl Screen for States<'_> {
+impl FrameSink for States<'_> {
     fn manifest(&mut self, message: &[u8]) {
         if self.args.cameras.is_typed() && self.watching.is_none() {
             self.watching = Some(watching(self.args, message));

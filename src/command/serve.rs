@@ -13,7 +13,8 @@ use anyhow::{Context, Result, bail};
 use dgs_quic::{
     http::{HttpConfig, HttpLimits, HttpReport, HttpServer, Site, SiteStream},
     socket::{
-        Identity, Locator, Offer, Scheme, Server, ServerConfig, ServerLimits, ServerReport, ViewerReport,
+        Identity, Locator, Scheme, ServedStream, Server, ServerConfig, ServerLimits, ServerReport,
+        ViewerReport,
         message::{MAX_NAME_BYTES, StreamChoice},
     },
 };
@@ -47,7 +48,7 @@ const NOT_BY_WINDOW: &str = "warning: packets of windows that were over came on 
                              writes a file so, and dgs serve FILE serves it whole";
 
 /// Viewers of whom the report at the end tells one by one, the last ones; all are counted.
-const MOST_REPORTED: usize = 4096;
+const MAX_REPORTED: usize = 4096;
 /// What a server listens on says nothing of where viewers find it.
 const EVERYWHERE: &str = "--listen is every address of this machine; the URLs below are for this machine \
                           alone: --host NAME names it for viewers elsewhere";
@@ -95,7 +96,7 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
         viewer_conditions: !args.fixed_conditions,
     };
     // At once: serving may take days.
-    warnings.iter().for_each(|warning| output::complain(&format!("warning: {warning}")));
+    warnings.iter().for_each(|warning| output::print_status(&format!("warning: {warning}")));
     let served = runtime()?.block_on(serve(args, &host, config, offers, quiet))?;
     let Served { urls, page, report, viewers, http } = served;
     let text = summary(&report, http.as_ref());
@@ -116,14 +117,14 @@ fn publish(args: &Serve, relay: &Locator, quiet: Quiet) -> Result<VerbOutput> {
     let trust = trust(relay, args.pin, args.ca.as_ref())?;
     let mut warnings = Vec::new();
     let offers = offers(args, quiet, &mut warnings)?;
-    warnings.iter().for_each(|warning| output::complain(&format!("warning: {warning}")));
+    warnings.iter().for_each(|warning| output::print_status(&format!("warning: {warning}")));
     let mut output = relay::publish(relay, trust, &offers, quiet)?;
     output.json["warnings"] = json!(warnings);
     Ok(output)
 }
 
 /// The streams that are named, ready to be sent.
-fn offers(args: &Serve, quiet: Quiet, warnings: &mut Vec<String>) -> Result<Vec<Offer>> {
+fn offers(args: &Serve, quiet: Quiet, warnings: &mut Vec<String>) -> Result<Vec<ServedStream>> {
     let mut offers = Vec::new();
     if args.inputs.iter().filter(|input| *input == LIVE_INPUT).count() > 1 {
         bail!("{LIVE_INPUT} is given twice; standard input is one stream");
@@ -135,7 +136,7 @@ fn offers(args: &Serve, quiet: Quiet, warnings: &mut Vec<String>) -> Result<Vec<
         }
         let warn = &mut |warning| warnings.push(warning);
         let ready = pipeline::sendable(input, &args.scene, &args.codec, args.policy, quiet, warn)?;
-        offers.push(Offer::new(&name(input), &ready.stream, ready.graph)?);
+        offers.push(ServedStream::new(&name(input), &ready.stream, ready.graph)?);
     }
     Ok(offers)
 }
@@ -155,7 +156,7 @@ async fn serve(
     args: &Serve,
     host: &str,
     config: ServerConfig,
-    offers: Vec<Offer>,
+    offers: Vec<ServedStream>,
     quiet: Quiet,
 ) -> Result<Served> {
     let mut streams: Vec<SiteStream> = offers.iter().map(site_stream).collect();
@@ -193,7 +194,7 @@ async fn serve(
     // At once: whoever started this waits for it. With --json standard output is for the end.
     for url in urls.iter().chain(&page) {
         if quiet.0 {
-            output::complain(&format!("serving {url}"))
+            output::print_status(&format!("serving {url}"))
         } else {
             output::print(&format!("{url}\n"))?
         }
@@ -206,7 +207,7 @@ async fn serve(
             return;
         }
         // Serving may take days.
-        if viewers.len() == MOST_REPORTED {
+        if viewers.len() == MAX_REPORTED {
             viewers.pop_front();
         }
         viewers.push_back(viewer.clone());
@@ -227,9 +228,9 @@ async fn serve(
 }
 
 /// A stream that is read from standard input while it is served.
-fn live(quiet: Quiet) -> Result<Offer> {
+fn live(quiet: Quiet) -> Result<ServedStream> {
     let mut reader = LiveReader::new(io::stdin()).context("standard input")?;
-    let (offer, feed) = Offer::live(LIVE_NAME, reader.stream(), reader.graph()?, reader.newest())?;
+    let (offer, feed) = ServedStream::live(LIVE_NAME, reader.stream(), reader.graph()?, reader.newest())?;
     // Reading blocks, for as long as the encoder wants; the end of the process ends it.
     let mut read = move || -> Result<(usize, bool)> {
         while reader.advance()? {
@@ -240,19 +241,19 @@ fn live(quiet: Quiet) -> Result<Offer> {
     let until_the_end = move || match read() {
         Ok((0, true)) if quiet.0 => {}
         Ok((damaged, by_window)) => {
-            output::complain(&format!("standard input has ended; {} damaged", counted(damaged, "part")));
+            output::print_status(&format!("standard input has ended; {} damaged", counted(damaged, "part")));
             if !by_window {
-                output::complain(NOT_BY_WINDOW);
+                output::print_status(NOT_BY_WINDOW);
             }
         }
-        Err(error) => output::complain(&format!("standard input: {error:#}; what has come is served on")),
+        Err(error) => output::print_status(&format!("standard input: {error:#}; what has come is served on")),
     };
     thread::Builder::new().name("dgs-live".to_owned()).spawn(until_the_end).context("cannot read beside")?;
     Ok(offer)
 }
 
 /// A stream as a page lists it.
-fn site_stream(offer: &Offer) -> SiteStream {
+fn site_stream(offer: &ServedStream) -> SiteStream {
     SiteStream {
         name: offer.name().to_owned(),
         address: None,

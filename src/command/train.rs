@@ -21,7 +21,7 @@ use serde_json::json;
 use trainer_host::{
     Scene,
     train::{
-        self, Checkpoint, Dataset, Posable, Test, Views,
+        self, Checkpoint, Dataset, DynamicScene, Test, Views,
         dataset::{self, rendered},
         delivery::DeliveryOptions,
     },
@@ -54,7 +54,7 @@ const ENCODED: &str = "checkpoint and stream are whole; the report is not there"
 /// Share of a clip before the first photograph, or after the last, of which nothing is said.
 const UNSEEN: f32 = 0.05;
 /// Shortest side of pictures that are still worth a figure, pixels.
-const LEAST_SIDE: u32 = 32;
+const MIN_SIDE: u32 = 32;
 
 /// What a training learns from.
 struct Input {
@@ -163,7 +163,7 @@ fn load(args: &Train, max_side: u32) -> Result<Input> {
         (loaded, _) => loaded?,
     };
     if let Some(damage) = &loaded.damage {
-        output::complain(&format!("warning: {damage}"));
+        output::print_status(&format!("warning: {damage}"));
     }
     let options = rendered::RenderedOptions {
         cameras: args.cameras,
@@ -253,7 +253,7 @@ fn finish(
     let other = plain.map(|v| 1.0 - v);
     let mut figures: Vec<Figure> = Vec::new();
     let measuring = Progress::new("measure the result", quiet.0);
-    let mut measure = |what: &str, scene: &dyn Posable, background: [f32; 3]| -> Result<()> {
+    let mut measure = |what: &str, scene: &dyn DynamicScene, background: [f32; 3]| -> Result<()> {
         stop.leave(ENCODED);
         measuring.stage(&format!("measure {what}"), 0.1 + 0.2 * figures.len() as f64);
         if !dataset.test.is_empty() {
@@ -335,7 +335,7 @@ fn training_views(count: usize, all: usize) -> String {
 
 /// Whether there are views, and pictures of all of them can be `reduced` times smaller.
 fn is_size(views: &Views<Test>, reduced: u32) -> bool {
-    let fits = |side: u32| side.is_multiple_of(reduced) && side / reduced >= LEAST_SIDE;
+    let fits = |side: u32| side.is_multiple_of(reduced) && side / reduced >= MIN_SIDE;
     let photographs = views.photographs();
     reduced > 0
         && !photographs.is_empty()

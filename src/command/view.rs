@@ -1,7 +1,7 @@
 //! Shows streams and scenes until Ctrl-C, from a page on this machine, or in a window: `dgs view`.
 
 #[cfg(feature = "window")]
-mod arriving;
+mod loader;
 mod opened;
 #[cfg(feature = "window")]
 mod window;
@@ -63,7 +63,7 @@ fn page(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     }
     let site = Site::new(asset, &streams, None)?;
     // At once: serving may take days.
-    warnings.iter().for_each(|warning| output::complain(&format!("warning: {warning}")));
+    warnings.iter().for_each(|warning| output::print_status(&format!("warning: {warning}")));
     let (url, report) = runtime()?.block_on(async {
         // This machine alone: elsewhere a browser offers no WebGPU to a page without a certificate.
         let bind = (Ipv4Addr::LOCALHOST, args.port).into();
@@ -73,7 +73,7 @@ fn page(args: &View, quiet: Quiet) -> Result<VerbOutput> {
         let stop = interruption();
         // At once: whoever started this waits for it. With --json standard output is for the end.
         if quiet.0 {
-            output::complain(&format!("serving {url}"));
+            output::print_status(&format!("serving {url}"));
         } else {
             output::print(&format!("{url}\n"))?;
         }

@@ -2,7 +2,7 @@
 //!
 //! What a window shows of a cluster lies in a box around its Gaussians at the beginning of that window and of
 //! the next; what an epoch has of it, in the boxes of its windows. The distance from which utilities were
-//! measured is that of the measuring ring around the decoded frames.
+//! measured is that of the validation ring around the decoded frames.
 
 use std::{collections::BTreeMap, ops::Range};
 
@@ -20,9 +20,9 @@ use trainer_host::{
 use super::coverage;
 
 /// Most frames that are decoded.
-const MOST_FRAMES: usize = 256;
+const MAX_FRAMES: usize = 256;
 /// Most balls of a place.
-const MOST_BALLS: usize = 8;
+const MAX_BALLS: usize = 8;
 /// Cameras of the ring that utilities are measured on, and the side of their pictures, of which nothing
 /// depends here.
 const CAMERAS: (usize, (u32, u32)) = (3, (64, 64));
@@ -46,7 +46,7 @@ impl Extent {
         }
     }
 
-    /// The ball around it, seen by measuring cameras at `eyes`; none around nothing.
+    /// The ball around it, seen by validation cameras at `eyes`; none around nothing.
     fn ball(&self, eyes: &[[f64; 3]]) -> Option<Ball> {
         let [low, high] = self.0;
         let centre = std::array::from_fn(|k| 0.5 * (low[k] + high[k]));
@@ -88,7 +88,7 @@ impl Places {
                     let all = epoch.first_frame..epoch.first_frame + epoch.frames;
                     balls.extend(ball(&own, cluster, all, &eyes));
                 }
-                let place = Place::new(&thinned(&balls, MOST_BALLS));
+                let place = Place::new(&thinned(&balls, MAX_BALLS));
                 places.extend(place.map(|place| ((Span::Canonical(id), cluster), place)));
             }
         }
@@ -102,7 +102,7 @@ impl Places {
 }
 
 /// Decoded frames at the beginnings of windows and epochs and at the end, ascending, and the centres of the
-/// measuring cameras.
+/// validation cameras.
 fn moments(content: &Content<'_>, frames: Range<u32>) -> codec_core::Result<(Vec<Moment>, Vec<[f64; 3]>)> {
     let manifest = content.manifest;
     let windows = manifest.windows().map(|window| window.first_frame);
@@ -111,7 +111,7 @@ fn moments(content: &Content<'_>, frames: Range<u32>) -> codec_core::Result<(Vec
     wanted.retain(|frame| frames.contains(frame));
     wanted.sort_unstable();
     wanted.dedup();
-    let wanted = thinned(&wanted, MOST_FRAMES);
+    let wanted = thinned(&wanted, MAX_FRAMES);
     let framed: Vec<usize> = Framing::sampled(wanted.len()).collect();
     let mut decoder = FrameDecoder::new(manifest);
     let (mut moments, mut positions) = (Vec::new(), Vec::new());
@@ -142,7 +142,7 @@ fn moments(content: &Content<'_>, frames: Range<u32>) -> codec_core::Result<(Vec
     let positions: Vec<&[[f32; 3]]> = positions.iter().map(Vec::as_slice).collect();
     let framing = Framing::of_positions(&positions, Up::default());
     // A ring of this size always exists; without one nothing is known of distances.
-    let cameras = framing.ring(Ring::Measuring, CAMERAS.0, CAMERAS.1).unwrap_or_default();
+    let cameras = framing.ring(Ring::Validation, CAMERAS.0, CAMERAS.1).unwrap_or_default();
     Ok((moments, cameras.iter().map(render_host::Camera::centre).collect()))
 }
 
@@ -184,7 +184,7 @@ mod tests {
         let options = SynthOptions { kind, gaussians: 1500, frames: 40, ..SynthOptions::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let coding = EncodeOptions { window_frames: Some(10), pictures: 0, ..EncodeOptions::default() };
-        encode::encode(&scene, &coding, &encode::unheard).unwrap().stream.receive().unwrap()
+        encode::encode(&scene, &coding, &encode::no_progress).unwrap().stream.receive().unwrap()
     }
 
     /// The slow twin: every Gaussian of every frame, by its cluster and window.

@@ -259,7 +259,7 @@ mod tests {
         let scene = synth::make(&make, &Limits::default()).unwrap();
         let other = synth::make(&synth::SynthOptions { seed: 9, ..make }, &Limits::default()).unwrap();
         let stream =
-            encode::encode(&scene, &encode::EncodeOptions::default(), &trainer_host::encode::unheard)
+            encode::encode(&scene, &encode::EncodeOptions::default(), &trainer_host::encode::no_progress)
                 .unwrap()
                 .stream;
         let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());

@@ -131,7 +131,7 @@ fn recorded(args: &LinkArgs) -> Result<(Replay, Vec<String>)> {
             bail!("{} has delays, and so has {}; one of them is needed", trace.display(), path.display());
         }
         let delays = read_delays(path)?;
-        notes.extend(delays.doubt().map(|doubt| format!("{}: {doubt}", path.display())));
+        notes.extend(delays.unit_warning().map(|unit_warning| format!("{}: {unit_warning}", path.display())));
         replay.delay = Some(delays);
     }
     let replay = match args.trace_offset {

@@ -56,9 +56,9 @@ pub(crate) fn read_recording(path: &Path) -> Result<Recording> {
     } else if name.contains("pitree") {
         // The two families differ in which end of its interval a row stands at.
         notes.push("its name has pitree in it, so each rate holds until the time of its row".to_owned());
-        Trace::two_column(&name, &bytes, trace::Holds::Backward, &limits).map(Replay::from)
+        Trace::two_column(&name, &bytes, trace::HoldDirection::Backward, &limits).map(Replay::from)
     } else {
-        Trace::two_column(&name, &bytes, trace::Holds::Forward, &limits).map(Replay::from)
+        Trace::two_column(&name, &bytes, trace::HoldDirection::Forward, &limits).map(Replay::from)
     };
     let replay = replay.with_context(|| format!("{}: not a usable trace", path.display()))?;
     notes.extend(replay.capacity.warnings().iter().map(ToString::to_string));

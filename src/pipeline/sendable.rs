@@ -62,7 +62,7 @@ pub fn sendable(
         let options = super::encode_options(codec, Protection::STANDARD);
         let stream = super::encode(&loaded.scene, &options, quiet)?.stream;
         let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
-        let cameras = Framing::of(&loaded.scene).ring(Ring::Measuring, 3, (128, 128))?;
+        let cameras = Framing::of(&loaded.scene).ring(Ring::Validation, 3, (128, 128))?;
         let gain_cameras = gain_cameras(&loaded.scene)?;
         let complete = policy != PolicyName::DeadlineUtilityPaper;
         let how = UtilityOptions { complete, ..UtilityOptions::paper() };

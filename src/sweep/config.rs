@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use emulator_host::{
     ControllerKind, Nanos, PolicyKind, Rate, Trace,
-    graph::{Dependencies, Profile, Synthetic},
+    graph::{ClosureRule, Dependencies, Synthetic},
     link::LossModel,
     sweep::{Condition, Design, Summary, SweptTrace},
     trace::Step,
@@ -16,9 +16,9 @@ use super::Digests;
 use crate::pipeline;
 
 /// Bytes of the largest configuration.
-const MOST_BYTES: u64 = 1 << 20;
+const MAX_BYTES: u64 = 1 << 20;
 /// Most simulations of a design.
-const MOST_SIMULATIONS: u64 = 100_000_000;
+const MAX_SIMULATIONS: u64 = 100_000_000;
 
 /// A configuration as it is written.
 #[derive(Clone, Debug)]
@@ -65,7 +65,7 @@ impl Outline {
         let blocks = product(&[document.conditions.len(), document.traces.len(), replicates as usize]);
         let simulations_per_block = product(&[document.controllers.len(), document.schedulers.len()]);
         let simulations = blocks.saturating_mul(simulations_per_block);
-        within("the number of simulations", simulations, 1, MOST_SIMULATIONS)?;
+        within("the number of simulations", simulations, 1, MAX_SIMULATIONS)?;
         let baseline = scheduler("baseline", &document.baseline)?;
         let has_files = document.traces.iter().any(|table| table.files().next().is_some());
         Ok(Self { blocks, simulations_per_block, baseline, has_files })
@@ -143,8 +143,8 @@ impl Config {
     pub(crate) fn read(path: &Path, traces: &Path) -> Result<Self> {
         let named = || path.display().to_string();
         let size = std::fs::metadata(path).with_context(named)?.len();
-        if size > MOST_BYTES {
-            bail!("{}: {size} bytes, allowed are {MOST_BYTES}", named());
+        if size > MAX_BYTES {
+            bail!("{}: {size} bytes, allowed are {MAX_BYTES}", named());
         }
         let text = std::fs::read_to_string(path).with_context(named)?;
         Self::parse(text, traces).with_context(named)
@@ -231,7 +231,7 @@ fn clip(table: &ClipTable) -> Result<Synthetic> {
         clusters: within("clip.clusters", table.clusters, 1, 10_000)?,
         levels: within("clip.levels", table.levels, 1, 4)?,
         rate: mbps("clip.mbps", table.mbps)?,
-        profile: if table.slices { Profile::Sliced } else { Profile::AllOrNothing },
+        profile: if table.slices { ClosureRule::Sliced } else { ClosureRule::AllOrNothing },
         ..Synthetic::default()
     })
 }
@@ -290,7 +290,7 @@ fn trace(
             bail!("traces[{at}] ({:?}) has delays; no delay_file is allowed beside them", table.name);
         }
         let delays = pipeline::read_delays(&folder.join(file)).with_context(|| key("delay_file"))?;
-        warnings.extend(delays.doubt().map(|doubt| format!("trace {}: {doubt}", table.name)));
+        warnings.extend(delays.unit_warning().map(|doubt| format!("trace {}: {doubt}", table.name)));
         replay.delay = Some(delays);
     }
     let capacity = &replay.capacity;

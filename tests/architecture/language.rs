@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use syn::{Item, Visibility, visit::Visit};
 
-use crate::source::{Tree, circles, imports, public_items};
+use crate::source::{Tree, cycles, imports, public_items};
 
 /// What is counted, in the order of [`CEILINGS`].
 const RULES: [&str; 9] = [
@@ -18,7 +18,7 @@ const RULES: [&str; 9] = [
     "modules as mod.rs",
     "imports out of order (std, other crates, this crate; one item per crate)",
     "types across files whose name says nothing",
-    "files in circles",
+    "files in cycles",
     "public items",
 ];
 
@@ -221,7 +221,7 @@ fn counts(tree: &Tree) -> BTreeMap<&'static str, Counts> {
     }
     for (_, folder) in tree.libraries() {
         if let Some(count) = counts.get_mut(room(&folder)) {
-            count[7] += circles(tree, &folder).iter().map(Vec::len).sum::<usize>();
+            count[7] += cycles(tree, &folder).iter().map(Vec::len).sum::<usize>();
             count[8] += public_items(tree, &folder);
         }
     }
@@ -271,7 +271,7 @@ fn places(tree: &Tree, of_room: &str, rule: usize) -> Vec<String> {
     }
     for (_, folder) in tree.libraries().into_iter().filter(|(_, folder)| rule == 7 && room(folder) == of_room)
     {
-        found.extend(circles(tree, &folder).iter().map(|circle| format!("    {}", circle.join(" -> "))));
+        found.extend(cycles(tree, &folder).iter().map(|circle| format!("    {}", circle.join(" -> "))));
     }
     found
 }

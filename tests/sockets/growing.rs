@@ -57,10 +57,10 @@ fn windows() -> (Vec<u8>, Vec<Vec<u8>>) {
 }
 
 /// Reads what comes as `dgs serve -` does.
-fn growing(input: Receiver<Vec<u8>>) -> Offer {
+fn growing(input: Receiver<Vec<u8>>) -> ServedStream {
     let mut reader = LiveReader::new(Pipe(input, Vec::new())).unwrap();
     let graph = reader.graph().unwrap();
-    let (offer, feed) = Offer::live("live", reader.stream(), graph, reader.newest()).unwrap();
+    let (offer, feed) = ServedStream::live("live", reader.stream(), graph, reader.newest()).unwrap();
     thread::spawn(move || {
         while reader.advance().unwrap() {
             feed.renew(reader.stream(), reader.graph().unwrap(), reader.newest()).unwrap();
@@ -87,7 +87,7 @@ fn a_viewer_ahead_of_a_stream_that_grows_waits_for_it() {
         let mut config = server.client();
         // Long over when the first packet comes.
         config.startup.max_wait = Nanos::from_ms(100);
-        let viewer = async { play(&config, &mut Headless, std::future::pending()).await.whole().unwrap() };
+        let viewer = async { play(&config, &mut NullSink, std::future::pending()).await.whole().unwrap() };
         let producer = async {
             tokio::time::sleep(HALF_A_SECOND).await;
             produce(&windows[..4], &to).await;

@@ -9,7 +9,7 @@ struct Decoded {
     differs: Option<u32>,
 }
 
-impl Screen for Decoded {
+impl FrameSink for Decoded {
     fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String> {
         self.frames.push(frame);
         let mut whole = stream().receive().map_err(|error| error.to_string())?;
@@ -44,7 +44,7 @@ fn over_a_clean_path_every_frame_is_shown_and_decodes_as_the_file_does() {
 /// Looks from somewhere, and says so.
 struct Located(ViewerPose);
 
-impl Screen for Located {
+impl FrameSink for Located {
     fn show(&mut self, _: &mut Player, _: u32) -> Result<(), String> {
         Ok(())
     }

@@ -4,7 +4,7 @@
 use serde_json::Value;
 
 use super::{
-    LEAST_DB, PATIENCE_S, Page, SIDE,
+    MIN_DB, PAGE_TIMEOUT_S, Page, SIDE,
     served::{self, SMALL, stream},
 };
 
@@ -25,12 +25,12 @@ fn packets_come_live_over_a_lossy_link() {
     let live = served::Live::start(&["--impair", "loss=5%,delay=10ms"]);
     page.browser.go(&format!("{}?transport=live&pixel-ratio=0.25", live.page)).unwrap();
     let playing = "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0";
-    page.browser.wait(PATIENCE_S, playing).unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, playing).unwrap();
     assert_eq!(page.run("player.dataset.transport"), "live");
     page.run("globalThis.loops = 0; player.addEventListener('loop', () => (loops += 1)); 0");
-    page.browser.wait(PATIENCE_S, "loops >= 1 && player.session.packets()[1] > 10").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "loops >= 1 && player.session.packets()[1] > 10").unwrap();
     // What was lost comes when the clip is repeated.
-    page.browser.wait(PATIENCE_S, "player.session.levels()[0] === 0").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "player.session.levels()[0] === 0").unwrap();
     page.close();
     let report = live.stop();
     assert!(report.contains("1 viewers;") && report.contains("(0 refused), camera reported"), "{report}");
@@ -48,21 +48,21 @@ fn every_transport_brings_the_same_picture() {
         page.play(&format!("{}?transport={transport}&pixel-ratio=1", live.page), SIDE);
         let names = if transport == "file" { "whole ranges" } else { transport };
         let is_known = format!("'{names}'.split(' ').includes(player.dataset.transport)");
-        page.browser.wait(PATIENCE_S, &is_known).unwrap();
+        page.browser.wait(PAGE_TIMEOUT_S, &is_known).unwrap();
         page.run("player.play(), 0");
         // What did not come in time comes when the clip is repeated.
         let mut db = 0.0;
         for _ in 0..60 {
-            page.browser.wait(PATIENCE_S, "player.session.levels()[0] === 0").unwrap();
+            page.browser.wait(PAGE_TIMEOUT_S, "player.session.levels()[0] === 0").unwrap();
             page.run("player.pause(), player.currentTime = 0.5, 0");
             db = page.agreement(&mut player, [0.0; 3]);
-            if db >= LEAST_DB {
+            if db >= MIN_DB {
                 break;
             }
             page.run("player.play(), 0");
             std::thread::sleep(std::time::Duration::from_secs(1));
         }
-        assert!(db >= LEAST_DB, "{transport}: {db} dB");
+        assert!(db >= MIN_DB, "{transport}: {db} dB");
         let error = page.run("player.error?.message ?? null");
         if error != Value::Null {
             panic!("{transport}: {error}; {}", live.stop());
@@ -72,9 +72,9 @@ fn every_transport_brings_the_same_picture() {
     page.browser.go("about:blank").unwrap();
     page.browser.before_pages(SWALLOWS_DATAGRAMS).unwrap();
     page.play(&format!("{}?pixel-ratio=1&switch", live.page), SIDE);
-    page.browser.wait(PATIENCE_S, "player.dataset.transport === 'streams'").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "player.dataset.transport === 'streams'").unwrap();
     page.run("player.play(), 0");
-    page.browser.wait(PATIENCE_S, "player.session.packets()[1] > 10").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "player.session.packets()[1] > 10").unwrap();
     assert_eq!(page.run("sessionStorage.getItem('dgs-transport')"), "streams");
     page.run("sessionStorage.clear(), 0");
     // Without a wish the best that works plays, and a page remembers it.
@@ -106,14 +106,14 @@ fn a_page_changes_the_link_and_the_scheduler_of_its_session() {
         let live = served::Live::start(flags);
         page.play(&format!("{}?transport={transport}&pixel-ratio=0.25", live.page), SIDE / 4);
         page.run("player.toggleNetwork(), player.play(), 0");
-        page.browser.wait(PATIENCE_S, &is_whole).unwrap();
+        page.browser.wait(PAGE_TIMEOUT_S, &is_whole).unwrap();
         page.run("player.impair({ loss: 0.7, burst: 4, rate: 1e6, scheduler: 'layered' }).then(() => 0)");
         let said = page.run("player.shadowRoot.querySelector('.where').textContent");
         assert_eq!(said, format!("emulated {place}"), "{flags:?}, {transport}");
-        page.browser.wait(PATIENCE_S, &format!("{STAND_INS} > 0")).unwrap();
+        page.browser.wait(PAGE_TIMEOUT_S, &format!("{STAND_INS} > 0")).unwrap();
         assert!(page.number("player.session.estimatedQuality") < 0.99);
         page.run("player.impair({}).then(() => 0)");
-        page.browser.wait(PATIENCE_S, &is_whole).unwrap();
+        page.browser.wait(PAGE_TIMEOUT_S, &is_whole).unwrap();
         page.browser.go("about:blank").unwrap();
         let report = live.stop();
         assert!(report.contains("1 viewers;") && report.contains("(0 refused)"), "{report}");
@@ -131,8 +131,8 @@ fn the_page_plays_what_is_still_being_written() {
     std::thread::sleep(std::time::Duration::from_secs(2));
     page.play(&format!("{}?transport=live&pixel-ratio=0.25&paused", live.page), SIDE / 4);
     // The third window of ten frames.
-    page.browser.wait(PATIENCE_S, "player.session.frame === 20").unwrap();
-    page.browser.wait(PATIENCE_S, &format!("{STAND_INS} === 0")).unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "player.session.frame === 20").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, &format!("{STAND_INS} === 0")).unwrap();
     page.browser.go("about:blank").unwrap();
     page.close();
     let report = live.stop();

@@ -1,6 +1,6 @@
 //! A file comes from every kind of server: with byte ranges, without, with faults.
 
-use super::{PATIENCE_S, Page, served};
+use super::{PAGE_TIMEOUT_S, Page, served};
 
 /// Makes a server of another `kind` of this page's server, by what its scripts see of it.
 const SERVERS: &str = "const real = globalThis.fetch; globalThis.kind = ''; globalThis.requests = 0;\
@@ -31,7 +31,7 @@ fn a_file_comes_from_servers_of_every_kind() {
     let url = format!("{}?src=streams/large.dgs&paused&pixel-ratio=0.25", page.served.url());
     page.browser.go(&url).unwrap();
     page.browser
-        .wait(PATIENCE_S, "!!(globalThis.player = document.querySelector('dgs-player'))?.session")
+        .wait(PAGE_TIMEOUT_S, "!!(globalThis.player = document.querySelector('dgs-player'))?.session")
         .unwrap();
     let packets = served::stream(served::LARGE).packets().len();
     let came = "player.buffered === 1 && player.session !== old && player.session.settled";
@@ -48,7 +48,7 @@ fn a_file_comes_from_servers_of_every_kind() {
              player.dataset.transport = ''; player.src = null; player.src = 'streams/large.dgs', 0"
         ));
         page.browser
-            .wait(PATIENCE_S, &format!("player.dataset.transport === '{transport}' && {came}"))
+            .wait(PAGE_TIMEOUT_S, &format!("player.dataset.transport === '{transport}' && {came}"))
             .unwrap();
         assert_eq!(page.run("player.session.damage"), damage, "{kind}");
         let said = "player.shadowRoot.querySelector('.message').textContent";

@@ -1,6 +1,6 @@
 //! What is wished of a player holds, whenever it is wished, whatever becomes of the element.
 
-use super::{PATIENCE_S, Page, SIDE};
+use super::{PAGE_TIMEOUT_S, Page, SIDE};
 
 #[test]
 fn what_is_wished_before_a_stream_begins_holds_from_its_beginning() {
@@ -21,7 +21,7 @@ fn what_is_wished_before_a_stream_begins_holds_from_its_beginning() {
          [player.overlay, player.background, player.currentTime] = ['levels', '#102030', 0.4];\
          player.impair({ loss: 0.3, seed: 5 }), 0",
     );
-    page.browser.wait(PATIENCE_S, "heard.includes('ended')").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "heard.includes('ended')").unwrap();
     assert_eq!(page.run(state), "false,1.5,1,levels,#102030");
     assert_eq!(
         page.run("[player.session.rate, player.session.cap, player.session.looping].join()"),
@@ -34,7 +34,7 @@ fn what_is_wished_before_a_stream_begins_holds_from_its_beginning() {
     page.run(
         "globalThis.old = player.session; player.playbackRate = NaN; player.src = 'streams/large.dgs', 0",
     );
-    page.browser.wait(PATIENCE_S, "player.session !== old && heard.at(-1) === 'loadedmetadata'").unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "player.session !== old && heard.at(-1) === 'loadedmetadata'").unwrap();
     assert_eq!(page.run(state), "false,1.5,1,levels,#102030");
     assert_eq!(page.run("player.paused && player.currentTime === 0 && player.session.rate === 1.5"), true);
     // Moved within the page it plays on; an attribute that goes is as if it had never been there.

@@ -44,11 +44,11 @@ pub use ledger::{Ledger, LedgerPart, Share};
 pub use options::{EncodeOptions, Target, TargetViews};
 pub use packet_report::PacketReport;
 pub use profile::{again, decide, with_levels, write};
-pub use progress::{Progress, unheard};
+pub use progress::{Progress, no_progress};
 pub use protection::{Protection, ProtectionError, Strength};
-pub use report::{ClusteringReport, Encoded, Reached, Report, Searched};
-pub use steps::Quality;
-pub use target::{COARSENESS, again_to_size};
+pub use report::{ClusteringReport, Encoded, Report, SearchReport, TargetReport};
+pub use steps::QuantiserSteps;
+pub use target::{COARSENESS, reencode_to_size};
 
 use self::profile::{check_scene, decide_and_write};
 use crate::scene::Scene;

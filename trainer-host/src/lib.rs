@@ -12,9 +12,9 @@
 //!
 //! let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..synth::SynthOptions::default() };
 //! let scene = synth::make(&options, &Limits::default())?;
-//! let encoded = encode::encode(&scene, &encode::EncodeOptions::default(), &encode::unheard)?;
+//! let encoded = encode::encode(&scene, &encode::EncodeOptions::default(), &encode::no_progress)?;
 //! // Everything that was chosen is plain data, and replays to the same bytes.
-//! let again = encode::write(&scene, &encoded.decisions, &encode::unheard)?;
+//! let again = encode::write(&scene, &encoded.decisions, &encode::no_progress)?;
 //! assert_eq!(again.stream.to_bytes()?, encoded.stream.to_bytes()?);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

@@ -286,7 +286,7 @@ pub struct Scene {
     /// around the scene, by the encoder too, stand upright by it.
     pub up: Up,
     /// Which way is up in most files of the format that the scene was read from, where there is a custom.
-    pub usual_up: Option<Up>,
+    pub default_up: Option<Up>,
     /// How its Gaussians are drawn: as they were when the scene was fitted.
     pub footprint: Footprint,
     /// Where the scene was seen from, if the source says.
@@ -307,9 +307,9 @@ impl Scene {
         if !(frames_per_second.is_finite() && frames_per_second > 0.0) {
             return Err(SceneError::FrameRate(frames_per_second));
         }
-        let (up, usual_up) = (Up::default(), None);
+        let (up, default_up) = (Up::default(), None);
         let (footprint, cameras, notes) = (Footprint::default(), Vec::new(), Vec::new());
-        Ok(Self { epochs, frames_per_second, up, usual_up, footprint, cameras, notes })
+        Ok(Self { epochs, frames_per_second, up, default_up, footprint, cameras, notes })
     }
 
     /// The epochs in display order; at least one.

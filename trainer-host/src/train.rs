@@ -9,7 +9,6 @@
 //! of every step.
 
 mod average;
-mod changing;
 mod checkpoint;
 pub mod dataset;
 pub mod delivery;
@@ -18,15 +17,16 @@ pub mod epochs;
 mod error;
 pub mod evaluation;
 mod finish;
+mod freeze;
 mod gaussians;
 mod model;
 pub mod motion;
+mod moving_region;
 mod options;
 mod parameter;
 mod photographs;
 mod rotation;
 mod schedule;
-mod stand_still;
 mod start;
 mod state;
 mod step_report;
@@ -36,7 +36,9 @@ mod views;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use error::TrainError;
-pub use evaluation::{Clip, Evaluation, EvaluationError, Perceptual, Posable, compare, evaluate, perceptual};
+pub use evaluation::{
+    Clip, DynamicScene, Evaluation, EvaluationError, Perceptual, compare, evaluate, perceptual,
+};
 pub use finish::{Encoding, Pruning};
 pub use model::Model;
 pub use options::{DensityControl, Finish, OptionsError, Rates, Schedule, TrainOptions};

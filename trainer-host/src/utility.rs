@@ -124,9 +124,9 @@ pub struct GroupUtility {
 /// let options = synth::SynthOptions { gaussians: 1000, frames: 1, ..Default::default() };
 /// let scene = synth::make(&options, &Limits::default())?;
 /// let options = EncodeOptions { pictures: 0, ..Default::default() };
-/// let stream = encode(&scene, &options, &trainer_host::encode::unheard)?.stream;
+/// let stream = encode(&scene, &options, &trainer_host::encode::no_progress)?.stream;
 /// let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
-/// let cameras = Framing::of(&scene).ring(Ring::Measuring, 1, (48, 48))?;
+/// let cameras = Framing::of(&scene).ring(Ring::Validation, 1, (48, 48))?;
 /// let references = References::renders(&scene, &cameras, &cameras);
 /// let how = UtilityOptions { contexts: 2, ..UtilityOptions::paper() };
 /// let table = measure(&references, &received.content(), &map, &how, &|_share| {})?;
@@ -148,7 +148,7 @@ pub struct Table {
 }
 
 /// Most numbers that the versions of one view's clusters may hold before the engine is called: 128 MiB.
-const MOST_VALUES: usize = 32 << 20;
+const MAX_VALUES: usize = 32 << 20;
 
 /// Measures all groups of `content` (a complete decode of a stream whose map is `map`) against
 /// `references`. `progress` is called with the share done, 0..=1.
@@ -283,7 +283,7 @@ fn deltas_in_view(
             .collect();
         waiting.push((context, shown, steps?));
         are_shared &= known == 0 || clusters.values() == known;
-        if !are_shared || clusters.values() > MOST_VALUES || context + 1 == options.states() {
+        if !are_shared || clusters.values() > MAX_VALUES || context + 1 == options.states() {
             let shown: Vec<Vec<u32>> = waiting.iter().map(|(_, shown, _)| shown.clone()).collect();
             let found = clusters.distortions(&shown, &view.camera, &view.reference, &options.settings)?;
             for (index, (context, _, steps)) in waiting.drain(..).enumerate() {

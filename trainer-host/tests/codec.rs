@@ -31,7 +31,7 @@ fn options(profile: Profile) -> EncodeOptions {
 }
 
 fn encoded(scene: &Scene, options: &EncodeOptions) -> Encoded {
-    encode(scene, options, &trainer_host::encode::unheard).unwrap()
+    encode(scene, options, &trainer_host::encode::no_progress).unwrap()
 }
 
 /// R·S²·Rᵀ: what of rotation and scale can be seen. Different rotations may give the same.

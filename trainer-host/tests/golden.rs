@@ -207,7 +207,7 @@ fn folder() -> std::path::PathBuf {
 fn write_golden() {
     let mut lines = Vec::new();
     for (name, exercises, scene, options) in all() {
-        let stream = encode(&scene, &options, &trainer_host::encode::unheard).unwrap().stream;
+        let stream = encode(&scene, &options, &trainer_host::encode::no_progress).unwrap().stream;
         let bytes = stream.to_bytes().unwrap();
         std::fs::write(folder().join(format!("{name}.dgs")), &bytes).unwrap();
         lines.push(session::Line::of(name, exercises, &bytes).text());
@@ -233,7 +233,7 @@ fn encoding(name: &str, bytes: &[u8]) -> String {
 #[ignore = "writes a committed file"]
 fn write_encodings() {
     let bytes = |scene, options| {
-        encode(scene, options, &trainer_host::encode::unheard).unwrap().stream.to_bytes().unwrap()
+        encode(scene, options, &trainer_host::encode::no_progress).unwrap().stream.to_bytes().unwrap()
     };
     let lines: Vec<String> =
         all().iter().map(|(name, _, scene, options)| encoding(name, &bytes(scene, options))).collect();
@@ -249,7 +249,7 @@ fn encoding_and_replaying_decisions_give_the_bytes_written_down() {
     let pinned = std::fs::read_to_string(encodings()).unwrap();
     let pinned: BTreeSet<&str> = pinned.lines().collect();
     for (name, _, scene, options) in all() {
-        let encoded = encode(&scene, &options, &trainer_host::encode::unheard).unwrap();
+        let encoded = encode(&scene, &options, &trainer_host::encode::no_progress).unwrap();
         let bytes = encoded.stream.to_bytes().unwrap();
         let found = encoding(name, &bytes);
         assert!(pinned.contains(found.as_str()), "{found} is not in encodings.txt");
@@ -257,7 +257,7 @@ fn encoding_and_replaying_decisions_give_the_bytes_written_down() {
         let mut decisions: Decisions = serde_json::from_str(&json).unwrap();
         assert!(decisions == encoded.decisions, "{name}");
         let replayed =
-            |decisions: &Decisions| write(&scene, decisions, &trainer_host::encode::unheard).unwrap();
+            |decisions: &Decisions| write(&scene, decisions, &trainer_host::encode::no_progress).unwrap();
         let again = replayed(&decisions);
         assert!(again.stream.to_bytes().unwrap() == bytes, "{name} replayed");
         assert_eq!((again.order, again.report), (encoded.order, encoded.report), "{name}");
@@ -274,12 +274,12 @@ fn encoding_and_replaying_decisions_give_the_bytes_written_down() {
 #[test]
 fn decisions_that_do_not_fit_are_named() {
     let (.., scene, options) = all().into_iter().find(|(name, ..)| *name == "coefficients").unwrap();
-    let good = encode(&scene, &options, &trainer_host::encode::unheard).unwrap().decisions;
+    let good = encode(&scene, &options, &trainer_host::encode::no_progress).unwrap().decisions;
     let Decisions::Dgs1(good) = good else { panic!("profile dgs1") };
     let refused = |change: fn(&mut Dgs1Decisions)| {
         let mut changed = good.clone();
         change(&mut changed);
-        write(&scene, &Decisions::Dgs1(changed), &trainer_host::encode::unheard).unwrap_err().to_string()
+        write(&scene, &Decisions::Dgs1(changed), &trainer_host::encode::no_progress).unwrap_err().to_string()
     };
     type Spoil = fn(&mut Dgs1Decisions);
     let cases: [(Spoil, &str); 8] = [
@@ -303,7 +303,7 @@ fn decisions_that_do_not_fit_are_named() {
             quantisers.canonical[class.index()].step *= 1e-4;
         }
     }
-    let error = write(&scene, &Decisions::Dgs1(fine), &trainer_host::encode::unheard).unwrap_err();
+    let error = write(&scene, &Decisions::Dgs1(fine), &trainer_host::encode::no_progress).unwrap_err();
     assert!(matches!(error, EncodeError::BlockTooLarge { .. }), "{error}");
 }
 
@@ -311,7 +311,7 @@ fn decisions_that_do_not_fit_are_named() {
 fn harmonics_are_decorrelated_and_noise_is_not() {
     let decorrelated = |wanted: &str| {
         let (.., scene, options) = all().into_iter().find(|(name, ..)| *name == wanted).unwrap();
-        let stream = encode(&scene, &options, &trainer_host::encode::unheard).unwrap().stream;
+        let stream = encode(&scene, &options, &trainer_host::encode::no_progress).unwrap().stream;
         let received = stream.receive().unwrap();
         let quant = received.content().manifest.quant(0).unwrap();
         Class::ALL.map(|class| quant.canonical[class.index()].decorrelated())
@@ -324,7 +324,7 @@ fn harmonics_are_decorrelated_and_noise_is_not() {
 #[test]
 fn quantiser_classes_have_quantisers_of_their_own() {
     let (.., scene, options) = all().into_iter().find(|(name, ..)| *name == "quantiser-classes").unwrap();
-    let stream = encode(&scene, &options, &trainer_host::encode::unheard).unwrap().stream;
+    let stream = encode(&scene, &options, &trainer_host::encode::no_progress).unwrap().stream;
     let manifest = stream.manifest().unwrap();
     let quants: Vec<_> = (0..manifest.head().quants).map(|q| manifest.quant(q as u8).unwrap()).collect();
     assert!(quants.len() > 1);

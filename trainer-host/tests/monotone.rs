@@ -54,7 +54,7 @@ impl Subject {
             Profile::Paper => EncodeOptions::paper(),
         };
         options.cluster.max_gaussians = 200;
-        let stream = encode(scene, &options, &trainer_host::encode::unheard).unwrap().stream;
+        let stream = encode(scene, &options, &trainer_host::encode::no_progress).unwrap().stream;
         let cameras = Framing::of(scene).ring(Ring::HeldOut, 2, (80, 60)).unwrap();
         let source = scene.instant(FRAME as usize).unwrap();
         let views = cameras.into_iter().map(|camera| (camera.clone(), picture(&source, &camera))).collect();

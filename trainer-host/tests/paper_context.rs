@@ -38,7 +38,8 @@ fn decoded(encoded: &Encoded) -> Vec<u32> {
 #[test]
 fn both_coders_give_the_same_gaussians_and_the_context_coder_takes_fewer_bytes() {
     let scene = scene();
-    let coded = |options: &EncodeOptions| encode(&scene, options, &trainer_host::encode::unheard).unwrap();
+    let coded =
+        |options: &EncodeOptions| encode(&scene, options, &trainer_host::encode::no_progress).unwrap();
     let (tables, context) = (coded(&EncodeOptions::paper()), coded(&EncodeOptions::paper_context()));
     assert_eq!(tables.stream.manifest().unwrap().chunk_coder(), Some(ChunkCoder::Tables));
     assert_eq!(context.stream.manifest().unwrap().chunk_coder(), Some(ChunkCoder::Context));
@@ -56,16 +57,16 @@ fn both_coders_give_the_same_gaussians_and_the_context_coder_takes_fewer_bytes()
 #[test]
 fn decisions_with_the_context_coder_replay_to_the_same_bytes() {
     let scene = scene();
-    let first = encode(&scene, &EncodeOptions::paper_context(), &trainer_host::encode::unheard).unwrap();
+    let first = encode(&scene, &EncodeOptions::paper_context(), &trainer_host::encode::no_progress).unwrap();
     let json = serde_json::to_string(&first.decisions).unwrap();
     let decisions: Decisions = serde_json::from_str(&json).unwrap();
-    let again = write(&scene, &decisions, &trainer_host::encode::unheard).unwrap();
+    let again = write(&scene, &decisions, &trainer_host::encode::no_progress).unwrap();
     assert_eq!(again.stream.to_bytes().unwrap(), first.stream.to_bytes().unwrap());
     // Without the word it is profile `paper`, as decisions were before there was a choice.
     let old = json.replace("\"context_coder\":true,", "");
     assert_ne!(old, json);
     let replayed =
-        write(&scene, &serde_json::from_str(&old).unwrap(), &trainer_host::encode::unheard).unwrap();
-    let tables = encode(&scene, &EncodeOptions::paper(), &trainer_host::encode::unheard).unwrap();
+        write(&scene, &serde_json::from_str(&old).unwrap(), &trainer_host::encode::no_progress).unwrap();
+    let tables = encode(&scene, &EncodeOptions::paper(), &trainer_host::encode::no_progress).unwrap();
     assert_eq!(replayed.stream.to_bytes().unwrap(), tables.stream.to_bytes().unwrap());
 }

@@ -7,7 +7,7 @@ use codec_core::{
     internals::{
         ids::PacketId,
         receiver::Content,
-        wire::manifest::{Manifest, Sealed},
+        wire::manifest::{Manifest, ManifestHead},
     },
     player::{self as core, Accepted, Counters, Frame, Required, StreamInfo, Usable},
 };
@@ -53,7 +53,7 @@ fn arena_of(manifest: &Manifest<'_>, caps: &Caps) -> Result<Vec<u64>> {
 
 /// The body of the DGSM message `message`, if `caps` allow its length.
 fn unpacked(message: &[u8], caps: &Caps) -> Result<Vec<u8>> {
-    let sealed = Sealed::parse(message)?.within(caps)?;
+    let sealed = ManifestHead::parse(message)?.within(caps)?;
     let mut raw = vec![0u8; sealed.raw_len];
     sealed.open(message, codec_simd::crc32, &mut raw)?;
     Ok(raw)

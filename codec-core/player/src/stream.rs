@@ -9,7 +9,7 @@ use codec_core::{
         wire::{
             checked::Checked,
             file::{self, Record},
-            manifest::{self, Manifest, Sealed},
+            manifest::{self, Manifest, ManifestHead},
         },
     },
 };
@@ -202,7 +202,7 @@ impl Stream {
     /// If the manifest itself is unreadable or exceeds `caps`.
     pub fn from_bytes_within(bytes: &[u8], caps: &Caps) -> Result<(Self, Damage)> {
         let (message, start) = file::manifest(bytes)?;
-        let sealed = Sealed::parse(message)?.within(caps)?;
+        let sealed = ManifestHead::parse(message)?.within(caps)?;
         let mut raw = vec![0u8; sealed.raw_len];
         sealed.open(message, crc32, &mut raw)?;
         let parsed = Manifest::parse(&raw)?;

@@ -123,7 +123,7 @@ fn receiver(criterion: &mut Criterion) {
         b.iter(|| packets.iter().filter(|p| Packet::parse(&p[..p.len() - 4]).is_ok()).count());
     });
     let caps = Caps { early_bytes: 0, ..Caps::HOST };
-    let mut scratch = vec![0u64; manifest::Sealed::parse(message).unwrap().raw_len.div_ceil(8)];
+    let mut scratch = vec![0u64; manifest::ManifestHead::parse(message).unwrap().raw_len.div_ceil(8)];
     let need = Waiting::new(&mut scratch, caps).unwrap().required(message).unwrap();
     let mut arena = vec![0u64; need.words];
     group.bench_function("manifest and all packets", |b| {

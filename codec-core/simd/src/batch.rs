@@ -20,7 +20,7 @@ use crate::{
 const BATCH: usize = 128;
 /// Values that are decoded together, less those of the last packet, whose number caps bound: so are the
 /// lists of runs.
-const MOST_VALUES: usize = 1 << 21;
+const MAX_VALUES: usize = 1 << 21;
 
 /// Gives a [`Receiver`] packets whose values are decoded several at once; its memory is reused.
 #[derive(Debug)]
@@ -70,7 +70,7 @@ impl BatchReceiver {
             batch.clear();
             self.runs.clear();
             let mut values = 0;
-            while batch.len() < BATCH && values < MOST_VALUES {
+            while batch.len() < BATCH && values < MAX_VALUES {
                 let Some(packet) = packets.next() else { break };
                 let first = self.runs.len();
                 let packet = match Checked::new(packet, receiver.crc()) {

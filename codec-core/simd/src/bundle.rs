@@ -8,7 +8,7 @@ use codec_core::{
 use crate::{
     job::{Job, Tables, decode as decode_alone, open},
     kernel::Vectors,
-    lockstep::{BUFFER_BYTES, Lockstep, MOST_BYTES, MOST_PACKETS, MOST_STEPS},
+    lockstep::{BUFFER_BYTES, Lockstep, MAX_BYTES, MAX_PACKETS, MAX_STEPS},
 };
 
 /// A packet in lockstep.
@@ -41,7 +41,7 @@ impl<'a> Seat<'a> {
         bytes: &mut [u8; BUFFER_BYTES],
     ) -> Option<Self> {
         let lanes = decoder.lanes();
-        if lanes.bytes.len() > MOST_BYTES {
+        if lanes.bytes.len() > MAX_BYTES {
             return None;
         }
         bytes.get_mut(..lanes.bytes.len())?.copy_from_slice(lanes.bytes);
@@ -52,7 +52,7 @@ impl<'a> Seat<'a> {
     }
 
     /// Lays out the tables of its groups from group `at` to the last of a flush, or its own last.
-    fn lay(&mut self, p: usize, at: usize, tables: &mut [[[u8; LANES]; MOST_PACKETS]]) {
+    fn lay(&mut self, p: usize, at: usize, tables: &mut [[[u8; LANES]; MAX_PACKETS]]) {
         let (mut runs, mut into) = self.ahead;
         let mut rows = tables.iter_mut().skip(at).take(self.left).filter_map(|row| row.get_mut(p));
         while let Some((run, later)) = runs.split_first() {
@@ -126,12 +126,12 @@ impl<'a> Seat<'a> {
     /// Decodes what is left by the scalar decoder.
     fn finish(mut self, tables: &Tables<'_>, out: &mut [i16]) -> Result<()> {
         let have = out.len();
-        let lacking = || Error::short("body.values", 0, have, have + 1);
-        let mut rest = out.get_mut(self.done..).ok_or_else(lacking)?;
+        let too_small = || Error::short("body.values", 0, have, have + 1);
+        let mut rest = out.get_mut(self.done..).ok_or_else(too_small)?;
         for run in self.runs {
             let (slots, raw_bits) = tables.table(run.table)?;
             let left = run.len - core::mem::take(&mut self.into);
-            let (values, later) = rest.split_at_mut_checked(left).ok_or_else(lacking)?;
+            let (values, later) = rest.split_at_mut_checked(left).ok_or_else(too_small)?;
             rest = later;
             self.decoder.run(slots, raw_bits, values)?;
         }
@@ -142,19 +142,19 @@ impl<'a> Seat<'a> {
 /// Decodes `jobs`, as many at once as `vectors` take.
 pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]) {
     let mut lockstep = Box::new(Lockstep {
-        state: [[LOW; LANES]; MOST_PACKETS],
-        tables: [[[0; LANES]; MOST_PACKETS]; MOST_STEPS],
-        left: [[0; LANES]; MOST_PACKETS],
-        words: [0; MOST_PACKETS],
-        tokens: [[0; LANES * MOST_STEPS]; MOST_PACKETS],
-        bytes: [[0; BUFFER_BYTES]; MOST_PACKETS],
+        state: [[LOW; LANES]; MAX_PACKETS],
+        tables: [[[0; LANES]; MAX_PACKETS]; MAX_STEPS],
+        left: [[0; LANES]; MAX_PACKETS],
+        words: [0; MAX_PACKETS],
+        tokens: [[0; LANES * MAX_STEPS]; MAX_PACKETS],
+        bytes: [[0; BUFFER_BYTES]; MAX_PACKETS],
     });
-    let mut seats: [Option<Seat<'_>>; MOST_PACKETS] = [const { None }; MOST_PACKETS];
+    let mut seats: [Option<Seat<'_>>; MAX_PACKETS] = [const { None }; MAX_PACKETS];
     let mut waiting = 0..jobs.len();
     // Groups popped since the last flush of all.
     let mut at = 0;
     loop {
-        let (mut steps, mut plain) = (MOST_STEPS - at, MOST_STEPS);
+        let (mut steps, mut plain) = (MAX_STEPS - at, MAX_STEPS);
         let mut seated = 0;
         for (p, seat) in seats.iter_mut().enumerate().take(vectors.packets) {
             if seat.as_ref().is_none_or(|seat| seat.left == 0) {
@@ -177,7 +177,7 @@ pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]
         }
         vectors.run(tables.slots, at, steps, plain == 0, &mut lockstep);
         at += steps;
-        let full = at == MOST_STEPS;
+        let full = at == MAX_STEPS;
         for (p, place) in seats.iter_mut().enumerate().take(vectors.packets) {
             let Some(seat) = place else { continue };
             seat.left -= steps;

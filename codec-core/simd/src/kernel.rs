@@ -38,7 +38,7 @@ mod spread;
 
 use codec_core::internals::rans::table::SLOTS;
 
-use crate::lockstep::{Lockstep, MOST_BYTES, MOST_STEPS};
+use crate::lockstep::{Lockstep, MAX_BYTES, MAX_STEPS};
 
 /// A way to decode packets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,7 +116,7 @@ impl Kernel {
 /// Pops the tokens of groups `from..to` of four values of every packet.
 ///
 /// # Safety
-/// `from <= to <= MOST_STEPS`, tables and offsets are in the ranges that [`Lockstep`] states, and
+/// `from <= to <= MAX_STEPS`, tables and offsets are in the ranges that [`Lockstep`] states, and
 /// the machine has the kernel's instructions.
 type Run = unsafe fn(slots: &[[u32; SLOTS]], from: usize, to: usize, lockstep: &mut Lockstep);
 
@@ -130,7 +130,7 @@ type Spread = unsafe fn(raw_bits: u8, plane: &[u8], bit: usize, tokens: &[u8], o
 /// A kernel that this machine has.
 #[derive(Clone, Copy)]
 pub(crate) struct Vectors {
-    /// Packets in lockstep, at most [`MOST_PACKETS`](crate::lockstep::MOST_PACKETS).
+    /// Packets in lockstep, at most [`MAX_PACKETS`](crate::lockstep::MAX_PACKETS).
     pub packets: usize,
     /// Every lane takes words.
     run: Run,
@@ -153,7 +153,7 @@ impl Vectors {
         lockstep: &mut Lockstep,
     ) {
         let run = if ending { self.end } else { self.run };
-        let (from, to) = (at.min(MOST_STEPS), at.saturating_add(steps).min(MOST_STEPS));
+        let (from, to) = (at.min(MAX_STEPS), at.saturating_add(steps).min(MAX_STEPS));
         let last = u8::try_from(slots.len().saturating_sub(1)).unwrap_or(u8::MAX);
         for tables in lockstep.tables.get_mut(from..to).unwrap_or(&mut []) {
             for table in tables.as_flattened_mut() {
@@ -161,7 +161,7 @@ impl Vectors {
             }
         }
         for words in &mut lockstep.words {
-            *words = (*words).min(MOST_BYTES);
+            *words = (*words).min(MAX_BYTES);
         }
         if slots.is_empty() || from > to {
             return;

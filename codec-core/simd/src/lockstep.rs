@@ -5,25 +5,25 @@ use codec_core::internals::rans::lanes::LANES;
 use codec_core::internals::rans::table::SLOTS;
 
 /// Most packets in lockstep.
-pub(crate) const MOST_PACKETS: usize = 16;
+pub(crate) const MAX_PACKETS: usize = 16;
 /// Most groups of four values per call.
-pub(crate) const MOST_STEPS: usize = 128;
+pub(crate) const MAX_STEPS: usize = 128;
 /// Longest body that fits a packet's buffer; longer ones are left to the scalar decoder.
-pub(crate) const MOST_BYTES: usize = 1408;
+pub(crate) const MAX_BYTES: usize = 1408;
 /// Bytes of a packet's buffer: a call takes at most 8 bytes a step, and one load looks ahead 16.
-pub(crate) const BUFFER_BYTES: usize = MOST_BYTES + 8 * MOST_STEPS + 16;
+pub(crate) const BUFFER_BYTES: usize = MAX_BYTES + 8 * MAX_STEPS + 16;
 
 /// The packets in lockstep, lane by lane.
 pub(crate) struct Lockstep {
-    pub state: [[u32; LANES]; MOST_PACKETS],
+    pub state: [[u32; LANES]; MAX_PACKETS],
     /// Table of each lane in every group, none behind the last.
-    pub tables: [[[u8; LANES]; MOST_PACKETS]; MOST_STEPS],
+    pub tables: [[[u8; LANES]; MAX_PACKETS]; MAX_STEPS],
     /// Groups that each lane still takes words in, from the start of a call on, if any is ending.
-    pub left: [[u32; LANES]; MOST_PACKETS],
-    /// Offset of the next word in each packet's buffer, at most [`MOST_BYTES`] before a call.
-    pub words: [usize; MOST_PACKETS],
-    pub tokens: [[u8; LANES * MOST_STEPS]; MOST_PACKETS],
-    pub bytes: [[u8; BUFFER_BYTES]; MOST_PACKETS],
+    pub left: [[u32; LANES]; MAX_PACKETS],
+    /// Offset of the next word in each packet's buffer, at most [`MAX_BYTES`] before a call.
+    pub words: [usize; MAX_PACKETS],
+    pub tokens: [[u8; LANES * MAX_STEPS]; MAX_PACKETS],
+    pub bytes: [[u8; BUFFER_BYTES]; MAX_PACKETS],
 }
 
 /// What one word is worth in a byte shuffle that picks it: two bytes on, for both of its bytes.

@@ -143,7 +143,7 @@ impl Plan {
                 sh_rest: rest.take(frames.sh_rest)?,
             })
         })();
-        parts.ok_or_else(|| Error::lacking("arena", have, needed))
+        parts.ok_or_else(|| Error::too_small("arena", have, needed))
     }
 }
 

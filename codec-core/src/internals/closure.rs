@@ -68,7 +68,7 @@ pub fn initial(shape: &Shape) -> Arrived {
 
 /// The highest level of a block of a motion cell that bends its Gaussians: none without a level above
 /// the track, or without the block's canonical base.
-pub const fn bending_level(motion: Arrived, canonical: Arrived) -> Option<Level> {
+pub const fn coefficient_level(motion: Arrived, canonical: Arrived) -> Option<Level> {
     match motion.level() {
         Some(level) if level.get() > Level::BASE.get() && canonical.usable() > 0 => Some(level),
         _ => None,

@@ -107,7 +107,7 @@ impl<'a> Decoder<'a> {
             ("decode.sh_rest", sh_rest.len(), n * rest),
         ] {
             if have < need {
-                return Err(Error::lacking(field, have, need));
+                return Err(Error::too_small(field, have, need));
             }
         }
         if self.epoch != Some(id) {

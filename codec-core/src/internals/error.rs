@@ -80,7 +80,7 @@ impl Error {
 
     /// The caller's memory `field` has `have` elements; `need` are needed.
     #[cold]
-    pub(crate) const fn lacking(field: &'static str, have: usize, need: usize) -> Self {
+    pub(crate) const fn too_small(field: &'static str, have: usize, need: usize) -> Self {
         Self::short(field, 0, have, need).kind(ErrorKind::Capacity)
     }
 

@@ -117,7 +117,7 @@ impl<'a> Receiver<'a> {
         let (have, need) = (cells.len(), manifest.cells() + 1);
         let (block_room, mut next, mut targets) = (blocks.len(), Cell::default(), cells.iter_mut());
         let mut begin = |cell| {
-            let target = targets.next().ok_or_else(|| Error::lacking("memory.cells", have, need))?;
+            let target = targets.next().ok_or_else(|| Error::too_small("memory.cells", have, need))?;
             *target = cell;
             Ok(())
         };
@@ -128,7 +128,7 @@ impl<'a> Receiver<'a> {
             next.blocks += shape.blocks() as u32;
             let masks = blocks.get_mut(first..next.blocks as usize);
             masks
-                .ok_or_else(|| Error::lacking("memory.blocks", block_room, next.blocks as usize))?
+                .ok_or_else(|| Error::too_small("memory.blocks", block_room, next.blocks as usize))?
                 .fill(closure::initial(&shape).0);
             Ok(())
         })?;
@@ -138,11 +138,11 @@ impl<'a> Receiver<'a> {
             ("memory.seen", seen.len(), (manifest.head().packets as usize).div_ceil(32)),
         ] {
             if have < need {
-                return Err(Error::lacking(field, have, need));
+                return Err(Error::too_small(field, have, need));
             }
         }
         let (tables, room) = (usize::from(manifest.head().tables), slots.len());
-        let no_room = || Error::lacking("memory.slots", room, tables * Form::Compact.words());
+        let no_room = || Error::too_small("memory.slots", room, tables * Form::Compact.words());
         self.form = Form::that_fits(tables, room).ok_or_else(no_room)?;
         for ((index, table), raw_bits) in manifest.tables().enumerate().zip(&mut self.raw_bits) {
             let table = table?;
@@ -220,7 +220,7 @@ impl<'a> Receiver<'a> {
     fn mark(&mut self, id: PacketId) -> Result<()> {
         let (have, index) = (self.memory.seen.len(), id.index() / 32);
         let word = self.memory.seen.get_mut(index);
-        *word.ok_or_else(|| Error::lacking("memory.seen", have, index + 1))? |= 1 << (id.get() % 32);
+        *word.ok_or_else(|| Error::too_small("memory.seen", have, index + 1))? |= 1 << (id.get() % 32);
         Ok(())
     }
 }

@@ -19,8 +19,8 @@ pub const HEAD_BYTES: usize = 16;
 /// Bytes of a packet's length in what is coded.
 pub const LENGTH_BYTES: usize = 2;
 /// Most packets of a set: a bit for each.
-const MOST_MEMBERS: u32 = MAX_REPAIR_SET as u32;
-const _: () = assert!(MOST_MEMBERS == u64::BITS);
+const MAX_MEMBERS: u32 = MAX_REPAIR_SET as u32;
+const _: () = assert!(MAX_MEMBERS == u64::BITS);
 /// Packets that a sender adds in one call.
 const AT_ONCE: usize = 16;
 /// Most bytes of one coded packet: its length, then itself.
@@ -183,7 +183,7 @@ impl<'a> Sums<'a> {
     pub fn solution(&self, members: u32) -> Option<Solution> {
         let all = match members {
             0 => 0,
-            1..=MOST_MEMBERS => u64::MAX >> (MOST_MEMBERS - members),
+            1..=MAX_MEMBERS => u64::MAX >> (MAX_MEMBERS - members),
             // No set has as many.
             _ => return None,
         };

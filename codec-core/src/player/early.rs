@@ -27,7 +27,7 @@ impl<'a> EarlyPackets<'a> {
     /// Keeps `packet`, which is no longer than a packet can be.
     pub fn push(&mut self, packet: &[u8]) -> Result<()> {
         let (have, needed) = (self.bytes.len() - self.used, packet.len() + 2);
-        let full = || Error::lacking("caps.early_bytes", have, needed);
+        let full = || Error::too_small("caps.early_bytes", have, needed);
         let free = self.bytes.get_mut(self.used..).ok_or_else(full)?;
         let (len, free) = free.split_first_chunk_mut::<2>().ok_or_else(full)?;
         let target = free.get_mut(..packet.len()).ok_or_else(full)?;
@@ -40,6 +40,8 @@ impl<'a> EarlyPackets<'a> {
     /// A reader of the packets, in the order in which they came.
     pub fn packets(&self) -> Result<Reader<'_>> {
         let used = self.bytes.get(..self.used);
-        Ok(Reader::new(used.ok_or_else(|| Error::lacking("caps.early_bytes", self.bytes.len(), self.used))?))
+        Ok(Reader::new(
+            used.ok_or_else(|| Error::too_small("caps.early_bytes", self.bytes.len(), self.used))?,
+        ))
     }
 }

@@ -11,7 +11,7 @@ use codec_core::{
         wire::{
             crc::crc32,
             file,
-            manifest::{Manifest, Sealed, open},
+            manifest::{Manifest, ManifestHead, open},
         },
     },
     player::{Counters, Waiting},
@@ -79,7 +79,7 @@ pub fn parts(bytes: &[u8]) -> (&[u8], Vec<&[u8]>) {
 
 /// The unpacked manifest body of a message.
 pub fn unpacked(message: &[u8]) -> Vec<u8> {
-    let mut raw = vec![0u8; Sealed::parse(message).unwrap().raw_len];
+    let mut raw = vec![0u8; ManifestHead::parse(message).unwrap().raw_len];
     open(message, crc32, &mut raw).unwrap();
     raw
 }

@@ -35,9 +35,9 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
 }
 
 /// A sequence of numbers that look random (splitmix64).
-pub struct Numbers(pub u64);
+pub struct TestRng(pub u64);
 
-impl Numbers {
+impl TestRng {
     pub fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (self.0 ^ self.0 >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -206,19 +206,19 @@ fn proxies(model: &mut Model) {
         .flat_map(|e| &e.clusters)
         .map(|c| usize::from(c.gaussians.div_ceil(block_len)))
         .sum();
-    let mut numbers = Numbers(11);
+    let mut rng = TestRng(11);
     let byte = |i: usize, number: u64| match i / blocks {
         3..6 | 12 => number as u8 % 70,
         _ => number as u8,
     };
     model.drawing = 2;
-    model.proxies = Some((0..13 * blocks).map(|i| byte(i, numbers.next())).collect());
+    model.proxies = Some((0..13 * blocks).map(|i| byte(i, rng.next())).collect());
 }
 
 /// The whole file: symbols from `seed`, packets of at most `most` extents.
 fn file(mut model: Model, most: usize, seed: u64) -> Vec<u8> {
-    let mut numbers = Numbers(seed);
-    let packets = packets(&model, most, &mut numbers);
+    let mut rng = TestRng(seed);
+    let packets = packets(&model, most, &mut rng);
     model.packets = packets.len() as u32;
     let packets: Vec<Vec<u8>> = packets.iter().map(|packet| packet.write(&model)).collect();
     file_of(&model.body(), &packets)
@@ -246,7 +246,7 @@ pub fn file_of(raw: &[u8], packets: &[Vec<u8>]) -> Vec<u8> {
 }
 
 /// All symbols of `model` in packets: bases first, tracks next, refinements behind.
-fn packets(model: &Model, most: usize, numbers: &mut Numbers) -> Vec<Packet> {
+fn packets(model: &Model, most: usize, rng: &mut TestRng) -> Vec<Packet> {
     let mut pieces: Vec<Extent> =
         model.spans().into_iter().flat_map(|span| pieces(model, span, 16 / most)).collect();
     pieces.sort_by_key(|extent| extent.level);
@@ -255,7 +255,7 @@ fn packets(model: &Model, most: usize, numbers: &mut Numbers) -> Vec<Packet> {
     let mut packets = Vec::new();
     for id in 0..count {
         let extents: Vec<Extent> = pieces.iter().copied().skip(id).step_by(count).collect();
-        packets.push(packet(model, id as u32, extents, numbers));
+        packets.push(packet(model, id as u32, extents, rng));
     }
     packets
 }
@@ -281,7 +281,7 @@ fn pieces(model: &Model, (motion, span): (bool, usize), most: usize) -> Vec<Exte
 }
 
 /// A packet of symbols whose size suits their level, with every choice of table that codes them.
-fn packet(model: &Model, id: u32, extents: Vec<Extent>, numbers: &mut Numbers) -> Packet {
+fn packet(model: &Model, id: u32, extents: Vec<Extent>, rng: &mut TestRng) -> Packet {
     let (mut choices, mut values) = (Vec::new(), Vec::new());
     for extent in &extents {
         for (stream, n) in packet::runs(model, std::slice::from_ref(extent)) {
@@ -291,15 +291,15 @@ fn packet(model: &Model, id: u32, extents: Vec<Extent>, numbers: &mut Numbers) -
                 _ => 2,
             };
             // Now and then a symbol far out, which few tables code without an escape.
-            let far = |numbers: &mut Numbers| if numbers.next().is_multiple_of(61) { 20 } else { 1 };
-            let own: Vec<i16> = (0..n).map(|_| (numbers.within(most) * far(numbers)) as i16).collect();
+            let far = |rng: &mut TestRng| if rng.next().is_multiple_of(61) { 20 } else { 1 };
+            let own: Vec<i16> = (0..n).map(|_| (rng.within(most) * far(rng)) as i16).collect();
             let set = &model.table_sets[stream];
             let codes = |choice: &usize| {
                 let table = &model.tables[usize::from(set[*choice].0)];
                 own.iter().all(|&value| table.codes(value))
             };
             let able: Vec<usize> = (0..set.len()).filter(codes).collect();
-            choices.push(able[numbers.next() as usize % able.len()]);
+            choices.push(able[rng.next() as usize % able.len()]);
             values.extend(own);
         }
     }

@@ -2,7 +2,7 @@
 //! chunks, and writes the golden streams that several epochs and short chunks make.
 
 use crate::{
-    body as body_of, crc, golden, is_dgs1, made::Numbers, pack::pack, read_file, session, u16_at, u32_at,
+    body as body_of, crc, golden, is_dgs1, made::TestRng, pack::pack, read_file, session, u16_at, u32_at,
 };
 
 /// Which Gaussians a stream has, and how its chunks are coded.
@@ -270,18 +270,18 @@ pub fn made(is_context: bool) -> Vec<u8> {
         Epoch { frames: 3, rank: 0, clusters: vec![(1, 2), (12, 1), (5, 0)] },
     ];
     let mut paper = Paper { is_context, epochs, tables: Vec::new() };
-    let mut numbers = Numbers(9);
+    let mut rng = TestRng(9);
     let clusters: usize = paper.epochs.iter().map(|e| e.clusters.len()).sum();
     let mut groups: Vec<Vec<i16>> = Vec::new();
     for cluster in 0..clusters {
         for (level, len) in paper.sizes(cluster).into_iter().enumerate() {
             let most = [3000, 60, 25, 400][level];
-            let value = |i: usize, numbers: &mut Numbers| match (i % 7, numbers.next() % 41) {
+            let value = |i: usize, rng: &mut TestRng| match (i % 7, rng.next() % 41) {
                 (_, 0) if level == 1 => i16::MIN,
                 (0..3, _) if level > 1 => 0,
-                _ => numbers.within(most) as i16,
+                _ => rng.within(most) as i16,
             };
-            groups.push((0..len).map(|i| value(i, &mut numbers)).collect());
+            groups.push((0..len).map(|i| value(i, &mut rng)).collect());
         }
     }
     if !is_context {
@@ -291,7 +291,7 @@ pub fn made(is_context: bool) -> Vec<u8> {
     for (g, values) in groups.iter().enumerate() {
         let mut first = 0;
         while first < values.len() {
-            let take = (1 + numbers.next() as usize % 97).min(values.len() - first);
+            let take = (1 + rng.next() as usize % 97).min(values.len() - first);
             let values = values[first..first + take].to_vec();
             chunks.push(Chunk { id: 0, cluster: g / 4, level: g % 4, first, values });
             first += take;
@@ -361,13 +361,13 @@ fn body(paper: &Paper, packets: usize) -> Vec<u8> {
         out.extend(step.to_le_bytes());
         out.extend([2, 4, 3, 0]);
     }
-    let mut numbers = Numbers(13);
+    let mut rng = TestRng(13);
     for _ in 0..basis {
-        out.extend((numbers.within(1000) as f32 / 1000.0).to_le_bytes());
+        out.extend((rng.within(1000) as f32 / 1000.0).to_le_bytes());
     }
     for i in 0..transforms {
         let unit = if i % 12 < 11 && i % 5 == 0 { 1.0 } else { 0.0 };
-        out.extend((unit + numbers.within(1000) as f32 / 8000.0).to_le_bytes());
+        out.extend((unit + rng.within(1000) as f32 / 8000.0).to_le_bytes());
     }
     paper.tables.iter().flatten().for_each(|&f| short(&mut out, f));
     out

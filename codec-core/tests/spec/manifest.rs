@@ -12,8 +12,8 @@ use codec_core::{
         wire::{
             crc::crc32,
             manifest::{
-                self, Cluster, Epoch, Head, MAX_TABLE_SET_BITS, Manifest, Motion, Quant, Repair, Sealed,
-                TableSet, Track, Window, stream,
+                self, Cluster, Epoch, Head, MAX_TABLE_SET_BITS, Manifest, ManifestHead, Motion, Quant,
+                Repair, TableSet, Track, Window, stream,
             },
         },
     },
@@ -330,7 +330,7 @@ pub fn sealed(tables: &Tables, found: &mut Vec<String>) {
             let mut changed = message.clone();
             changed[offset..offset + width].copy_from_slice(&value.to_le_bytes()[..width]);
             let error =
-                Sealed::parse(&changed).err().is_some_and(|e| e.field.ends_with(row["field"].as_str()));
+                ManifestHead::parse(&changed).err().is_some_and(|e| e.field.ends_with(row["field"].as_str()));
             same(found, &format!("sealed.{} = {value} refused", row["field"]), refused, error);
         }
     }

@@ -17,4 +17,4 @@ mod units;
 
 pub use channel::{BroadcastReport, ChannelError};
 pub use player::play;
-pub use publisher::{News, PublishConfig, PublishError, PublishReport, publish};
+pub use publisher::{PublishConfig, PublishError, PublishEvent, PublishReport, publish};

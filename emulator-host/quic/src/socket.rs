@@ -8,7 +8,6 @@ mod carrier;
 mod channel;
 mod client;
 mod control;
-mod entrance;
 mod greeting;
 mod identity;
 mod impair;
@@ -16,11 +15,11 @@ mod limits;
 mod locator;
 mod media_streams;
 pub mod message;
-mod offer;
 mod playback;
 mod round;
 mod scheme;
 mod screen;
+mod served_stream;
 mod server;
 mod settings;
 #[cfg(test)]
@@ -28,26 +27,27 @@ mod tests;
 mod viewer;
 mod web;
 mod web_socket;
+mod web_socket_acceptor;
 
 pub use channel::Closed;
 pub use client::{Played, play};
 #[cfg(feature = "moq")]
 pub(crate) use client::{connect, play_over};
-pub use entrance::Entrance;
 pub use identity::{Identity, IdentityError, Pin, PinError, Trust};
 pub use impair::Impairment;
 pub use limits::ServerLimits;
 pub use locator::{DEFAULT_PORT, Locator, LocatorError};
 pub use message::{Conditions, Granted, ViewerLink};
-pub use offer::{LiveFeed, MAX_MEDIA_BYTES, Offer, OfferError};
-#[cfg(feature = "moq")]
-pub(crate) use offer::{middle_us, starts};
 #[cfg(feature = "moq")]
 pub(crate) use playback::Playback;
 pub use scheme::Scheme;
-pub use screen::{FrameShown, Headless, PlayReport, RoundWish, Screen};
+pub use screen::{FrameShown, FrameSink, NullSink, PlayReport, RoundRequest};
+pub use served_stream::{LiveFeed, MAX_MEDIA_BYTES, ServedStream, ServedStreamError};
+#[cfg(feature = "moq")]
+pub(crate) use served_stream::{middle_us, starts};
 pub use server::{Server, ServerConfig, ServerError, ServerReport};
 pub use settings::{ClientConfig, PlayError};
 pub use viewer::ViewerReport;
 pub use web::WebError;
 pub(crate) use web_socket::config as socket_config;
+pub use web_socket_acceptor::WebSocketAcceptor;

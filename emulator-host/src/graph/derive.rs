@@ -284,7 +284,7 @@ fn shares(parts: &GraphParts, closure: &[u32]) -> bool {
 mod tests {
     use codec_core::internals::ids::{ClusterId, Group as GroupId, Level, Span, WindowId};
 
-    use super::super::{Group, Packet, Profile, RepairSet};
+    use super::super::{ClosureRule, Group, Packet, RepairSet};
     use super::*;
     use crate::clock::Nanos;
 
@@ -329,7 +329,7 @@ mod tests {
             frames: 10,
             frame_interval: Nanos::from_ms(33),
             manifest_bytes: 1000,
-            profile: Profile::AllOrNothing,
+            profile: ClosureRule::AllOrNothing,
         }
     }
 

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use super::{
-    GroupIndex, PacketGraph, PacketIndex, Profile,
+    ClosureRule, GroupIndex, PacketGraph, PacketIndex,
     csr::Csr,
-    pieces::{Addition, Division, FrameSums, NO_PIECE, Pieces},
+    pieces::{Contribution, Division, FrameSums, NO_PIECE, Pieces},
 };
 
 impl PacketGraph {
@@ -68,8 +68,8 @@ impl FrameSums {
 impl Pieces {
     pub(crate) fn new(graph: &PacketGraph) -> Self {
         let draft = match graph.profile() {
-            Profile::Sliced => sliced(graph),
-            Profile::AllOrNothing => whole_groups(graph),
+            ClosureRule::Sliced => sliced(graph),
+            ClosureRule::AllOrNothing => whole_groups(graph),
         };
         let count = draft.parts.len();
         let rows = |pairs: &[(u32, u32)]| Csr::from_pairs(count, pairs);
@@ -86,7 +86,7 @@ impl Pieces {
             needed_from: vec![u32::MAX; count],
             useful_until: vec![0; count],
             parts: draft.parts,
-            harms: draft.harms,
+            negative_contributions: draft.negative_contributions,
         };
         for (piece, packet) in &draft.packets {
             pieces.of_packet[*packet as usize] = *piece;
@@ -132,15 +132,15 @@ impl Pieces {
 struct Draft {
     packets: Vec<(u32, u32)>,
     needs: Vec<(u32, u32)>,
-    parts: Vec<Vec<Addition>>,
-    harms: Vec<Vec<Addition>>,
+    parts: Vec<Vec<Contribution>>,
+    negative_contributions: Vec<Vec<Contribution>>,
 }
 
-fn part(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Addition> {
+fn part(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Contribution> {
     let facts = &graph.groups()[group.at()];
     let (utility, base) = (facts.utility.max(0.0) * share, if facts.level() == 0 { share } else { 0.0 });
     let (first, last) = (facts.first_frame, facts.last_frame);
-    (utility > 0.0 || (base > 0.0 && facts.utility >= 0.0)).then_some(Addition {
+    (utility > 0.0 || (base > 0.0 && facts.utility >= 0.0)).then_some(Contribution {
         group,
         first,
         last,
@@ -149,10 +149,10 @@ fn part(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Addition> 
     })
 }
 
-fn harm(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Addition> {
+fn harm(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Contribution> {
     let facts = &graph.groups()[group.at()];
     let (first, last, utility) = (facts.first_frame, facts.last_frame, facts.utility * share);
-    (utility < 0.0).then_some(Addition { group, first, last, utility, base: 0.0 })
+    (utility < 0.0).then_some(Contribution { group, first, last, utility, base: 0.0 })
 }
 
 fn sliced(graph: &PacketGraph) -> Draft {
@@ -168,8 +168,9 @@ fn sliced(graph: &PacketGraph) -> Draft {
         let share = |group: &GroupIndex| f64::from(packet.wire_bytes) / whole[group.at()];
         let parts = packet.groups.iter().filter_map(|group| part(graph, *group, share(group)));
         draft.parts.push(parts.collect());
-        let harms = packet.groups.iter().filter_map(|group| harm(graph, *group, share(group)));
-        draft.harms.push(harms.collect());
+        let negative_contributions =
+            packet.groups.iter().filter_map(|group| harm(graph, *group, share(group)));
+        draft.negative_contributions.push(negative_contributions.collect());
     }
     draft
 }
@@ -178,7 +179,7 @@ fn whole_groups(graph: &PacketGraph) -> Draft {
     let mut draft = Draft::default();
     for (at, group) in (0u32..).zip(graph.groups()) {
         draft.parts.push(part(graph, GroupIndex(at), 1.0).into_iter().collect());
-        draft.harms.push(harm(graph, GroupIndex(at), 1.0).into_iter().collect());
+        draft.negative_contributions.push(harm(graph, GroupIndex(at), 1.0).into_iter().collect());
         draft.needs.extend(group.needs.iter().map(|need| (at, need.0)));
     }
     for (at, packet) in (0u32..).zip(graph.packets()) {
@@ -188,7 +189,7 @@ fn whole_groups(graph: &PacketGraph) -> Draft {
             shared => {
                 let piece = draft.parts.len() as u32;
                 draft.parts.push(Vec::new());
-                draft.harms.push(Vec::new());
+                draft.negative_contributions.push(Vec::new());
                 draft.packets.push((piece, at));
                 draft.needs.extend(shared.iter().map(|group| (group.0, piece)));
             }
@@ -205,7 +206,7 @@ mod tests {
     /// With everything there from the start, the pieces add up to 1 in every frame.
     #[test]
     fn all_pieces_together_are_the_whole_picture() {
-        for profile in [Profile::AllOrNothing, Profile::Sliced] {
+        for profile in [ClosureRule::AllOrNothing, ClosureRule::Sliced] {
             let graph = Synthetic { frames: 90, profile, ..Synthetic::default() }.build(3).unwrap();
             let (pieces, sums) = (Pieces::new(&graph), FrameSums::new(&graph));
             let (mut utility, mut base) = (0.0, 0.0);
@@ -223,7 +224,7 @@ mod tests {
 
     #[test]
     fn every_packet_is_in_one_piece_and_needs_come_first() {
-        for profile in [Profile::AllOrNothing, Profile::Sliced] {
+        for profile in [ClosureRule::AllOrNothing, ClosureRule::Sliced] {
             let graph =
                 Synthetic { frames: 60, profile, repair: Some(4), ..Synthetic::default() }.build(3).unwrap();
             let pieces = Pieces::new(&graph);

@@ -1,8 +1,8 @@
 //! Pieces that each add to the picture at once, and what they add, to which frames. `division` makes them.
 //!
-//! - [`super::Profile::Sliced`]: a packet is a piece. It adds to every group that it carries the share of its
+//! - [`super::ClosureRule::Sliced`]: a packet is a piece. It adds to every group that it carries the share of its
 //!   bytes.
-//! - [`super::Profile::AllOrNothing`]: a group is a piece, with the packets that it alone has. A packet that
+//! - [`super::ClosureRule::AllOrNothing`]: a group is a piece, with the packets that it alone has. A packet that
 //!   several groups share is a piece of its own that adds nothing by itself and that each of them needs.
 //!
 //! A piece counts once everything that it needs counts. What a schedule adds is then the sum over its pieces,
@@ -17,7 +17,7 @@ use super::{
 
 /// What a piece adds to each of some frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Addition {
+pub(crate) struct Contribution {
     /// The group that it is part of.
     pub group: GroupIndex,
     /// First frame.
@@ -53,8 +53,8 @@ pub(crate) struct Pieces {
     pub(super) wire_bytes: Vec<u32>,
     pub(super) needs: Csr,
     pub(super) dependents: Csr,
-    pub(super) parts: Vec<Vec<Addition>>,
-    pub(super) harms: Vec<Vec<Addition>>,
+    pub(super) parts: Vec<Vec<Contribution>>,
+    pub(super) negative_contributions: Vec<Vec<Contribution>>,
     pub(super) order: Vec<u32>,
     pub(super) place: Vec<u32>,
     pub(super) needed_from: Vec<u32>,
@@ -77,7 +77,7 @@ impl FrameSums {
     }
 
     /// What `part` adds to its frames from `from` on: utility, and share of the level-0 groups.
-    pub(crate) fn gain(&self, part: &Addition, from: u32) -> (f64, f64) {
+    pub(crate) fn gain(&self, part: &Contribution, from: u32) -> (f64, f64) {
         let (first, after) = (part.first.max(from) as usize, part.last as usize + 1);
         if first >= after {
             return (0.0, 0.0);
@@ -119,13 +119,13 @@ impl Pieces {
     }
 
     /// What a piece adds.
-    pub(crate) fn parts(&self, piece: usize) -> &[Addition] {
+    pub(crate) fn parts(&self, piece: usize) -> &[Contribution] {
         &self.parts[piece]
     }
 
     /// What a piece takes from some frames: additions of negative utility.
-    pub(crate) fn harms(&self, piece: usize) -> &[Addition] {
-        &self.harms[piece]
+    pub(crate) fn negative_contributions(&self, piece: usize) -> &[Contribution] {
+        &self.negative_contributions[piece]
     }
 
     /// All pieces, needed ones first.

@@ -1,6 +1,6 @@
 //! Leaves parts of a graph out: those that are over, and those that need what has not come.
 
-use super::{GraphParts, Group, GroupIndex, Packet, PacketIndex, Profile, RepairSet};
+use super::{ClosureRule, GraphParts, Group, GroupIndex, Packet, PacketIndex, RepairSet};
 
 /// Which parts of a graph stay, by index.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -43,8 +43,8 @@ impl Selection {
         {
             let mut packets = group.packets.iter().map(|packet| self.packets[packet.at()]);
             let has_packets = match parts.profile {
-                Profile::AllOrNothing => packets.all(|stays| stays),
-                Profile::Sliced => packets.any(|stays| stays),
+                ClosureRule::AllOrNothing => packets.all(|stays| stays),
+                ClosureRule::Sliced => packets.any(|stays| stays),
             };
             if group.packets.is_empty()
                 || !has_packets

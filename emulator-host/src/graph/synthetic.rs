@@ -7,11 +7,11 @@
 use codec_core::internals::ids::{ClusterId, EpochId, Group as GroupId, Level, PacketId, Span, WindowId};
 
 use super::{
-    GraphError, GraphParts, Group, GroupIndex, Packet, PacketGraph, PacketIndex, Profile, RepairSet,
+    ClosureRule, GraphError, GraphParts, Group, GroupIndex, Packet, PacketGraph, PacketIndex, RepairSet,
 };
 use crate::{
     clock::{Nanos, Rate},
-    rng::{Stream, stream},
+    rng::{RandomStream, stream},
 };
 
 /// How utilities are drawn.
@@ -61,7 +61,7 @@ pub struct Synthetic {
     /// Parity packets of each repair set, at most 255.
     pub parity: u32,
     /// Closure rule.
-    pub profile: Profile,
+    pub profile: ClosureRule,
     /// What groups need.
     pub dependencies: Dependencies,
 }
@@ -82,7 +82,7 @@ impl Default for Synthetic {
             utilities: Utilities::Unequal,
             repair: None,
             parity: 1,
-            profile: Profile::AllOrNothing,
+            profile: ClosureRule::AllOrNothing,
             dependencies: Dependencies::Layered,
         }
     }
@@ -160,18 +160,18 @@ impl Synthetic {
         within("groups (clusters x levels x windows)", groups, 1, IDS)?;
         let media = self.rate.bytes_in(self.frame_interval.times(self.frames.into())).0;
         let size = u64::from(self.packet_bytes);
-        let packets = (media / size).max(groups * LEAST_GROUP_BYTES.div_ceil(size));
+        let packets = (media / size).max(groups * MIN_GROUP_BYTES.div_ceil(size));
         within("packets (rate x frames x frame_interval / packet_bytes)", packets, 0, IDS)?;
         within("parity", self.parity.into(), 0, 255)?;
         // Only the base is protected; each of its groups has so many packets at least.
-        let bases = groups / u64::from(self.levels) * LEAST_GROUP_BYTES.div_ceil(size);
+        let bases = groups / u64::from(self.levels) * MIN_GROUP_BYTES.div_ceil(size);
         let sets = self.repair.filter(|set| *set > 0).map_or(0, |set| bases.div_ceil(u64::from(set)));
         within("parity packets", sets * u64::from(self.parity), 0, IDS)
     }
 }
 
 /// Bytes of the smallest group.
-const LEAST_GROUP_BYTES: u64 = 40;
+const MIN_GROUP_BYTES: u64 = 40;
 
 /// The wire id of packet `index`. Past the largest id they repeat, which the graph refuses.
 fn wire_id(index: usize) -> PacketId {
@@ -180,8 +180,8 @@ fn wire_id(index: usize) -> PacketId {
 
 struct Draft<'a> {
     spec: &'a Synthetic,
-    sizes: Stream,
-    utilities: Stream,
+    sizes: RandomStream,
+    utilities: RandomStream,
     packets: Vec<Packet>,
     groups: Vec<Group>,
 }
@@ -208,7 +208,7 @@ impl Draft<'_> {
                 needs.push(GroupIndex((cluster % clusters * levels + usize::from(level)) as u32));
             }
             let mean = base_bytes << level;
-            let bytes = (mean / 2 + self.sizes.up_to(mean)).max(LEAST_GROUP_BYTES);
+            let bytes = (mean / 2 + self.sizes.up_to(mean)).max(MIN_GROUP_BYTES);
             let packets = self.split(bytes, GroupIndex(at as u32), &needs);
             let jitter = 0.5 + self.utilities.up_to(1_000_000) as f64 / 1e6;
             let finest = level > 0 && level + 1 == self.spec.levels;
@@ -239,8 +239,8 @@ impl Draft<'_> {
         for slice in 0..count {
             let wire_bytes = (bytes / count + u64::from(slice < bytes % count)) as u16;
             let needs_packets = match self.spec.profile {
-                Profile::AllOrNothing => Vec::new(),
-                Profile::Sliced => needs
+                ClosureRule::AllOrNothing => Vec::new(),
+                ClosureRule::Sliced => needs
                     .iter()
                     .map(|need| {
                         let below = &self.groups[need.at()].packets;
@@ -297,14 +297,14 @@ mod tests {
 
     #[test]
     fn all_variants_pass_the_checks() {
-        for profile in [Profile::AllOrNothing, Profile::Sliced] {
+        for profile in [ClosureRule::AllOrNothing, ClosureRule::Sliced] {
             for repair in [None, Some(4)] {
                 let graph =
                     Synthetic { frames: 90, profile, repair, ..Synthetic::default() }.build(1).unwrap();
                 assert_eq!(repair.is_some(), !graph.repair_sets().is_empty());
             }
         }
-        for profile in [Profile::AllOrNothing, Profile::Sliced] {
+        for profile in [ClosureRule::AllOrNothing, ClosureRule::Sliced] {
             let dependencies = Dependencies::Independent;
             let graph =
                 Synthetic { frames: 90, profile, dependencies, ..Synthetic::default() }.build(1).unwrap();

@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use super::{BoxOutput, Counts, Datagram, LinkBox, Tally};
 use crate::{
     clock::Nanos,
-    rng::{Stream, stream},
+    rng::{RandomStream, stream},
     trace::DelayTrace,
 };
 
@@ -20,7 +20,7 @@ pub struct Delay {
     base: Nanos,
     trace: Option<DelayTrace>,
     jitter: Nanos,
-    luck: Stream,
+    random: RandomStream,
     delayed: VecDeque<(Nanos, Datagram)>,
     last: Nanos,
     counts: Counts,
@@ -30,13 +30,13 @@ impl Delay {
     /// Delay of `base` plus a uniform draw from `0..=jitter`.
     pub fn new(label: impl Into<String>, base: Nanos, jitter: Nanos, seed: u64) -> Self {
         let label = label.into();
-        let luck = stream(seed, &label);
+        let random = stream(seed, &label);
         Self {
             label,
             base,
             trace: None,
             jitter,
-            luck,
+            random,
             delayed: VecDeque::new(),
             last: Nanos::ZERO,
             counts: Counts::default(),
@@ -59,7 +59,7 @@ impl Delay {
             span += trace.at(now);
         }
         if self.jitter > Nanos::ZERO {
-            span += Nanos(self.luck.up_to(self.jitter.0));
+            span += Nanos(self.random.up_to(self.jitter.0));
         }
         self.last = self.last.max(now + span);
         self.delayed.push_back((self.last, datagram));

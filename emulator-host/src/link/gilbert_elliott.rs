@@ -3,23 +3,23 @@
 //! The state changes once per datagram, before the loss is drawn. Mean burst length is 1 / `leave_bad`
 //! datagrams; the long-run share of time in the bad state is `enter_bad / (enter_bad + leave_bad)`.
 
-use super::loss::Losing;
+use super::loss::LossProcess;
 use crate::{
     clock::Nanos,
-    rng::{Chance, Stream},
+    rng::{Probability, RandomStream},
 };
 
 /// Chances per datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GilbertElliottParams {
     /// Good to bad.
-    pub enter_bad: Chance,
+    pub enter_bad: Probability,
     /// Bad to good.
-    pub leave_bad: Chance,
+    pub leave_bad: Probability,
     /// Loss in the good state.
-    pub loss_good: Chance,
+    pub loss_good: Probability,
     /// Loss in the bad state.
-    pub loss_bad: Chance,
+    pub loss_bad: Probability,
 }
 
 /// Loses datagrams in bursts.
@@ -36,11 +36,11 @@ impl GilbertElliott {
     }
 }
 
-impl Losing for GilbertElliott {
-    fn loses(&mut self, luck: &mut Stream, _now: Nanos) -> bool {
+impl LossProcess for GilbertElliott {
+    fn loses(&mut self, random: &mut RandomStream, _now: Nanos) -> bool {
         let change = if self.bad { self.params.leave_bad } else { self.params.enter_bad };
-        self.bad ^= luck.happens(change);
-        luck.happens(if self.bad { self.params.loss_bad } else { self.params.loss_good })
+        self.bad ^= random.happens(change);
+        random.happens(if self.bad { self.params.loss_bad } else { self.params.loss_good })
     }
 }
 
@@ -53,7 +53,7 @@ mod tests {
 
     #[test]
     fn losses_come_in_bursts_of_the_given_length_and_share() {
-        let chance = |p| Chance::new(p).unwrap();
+        let chance = |p| Probability::new(p).unwrap();
         let params = GilbertElliottParams {
             enter_bad: chance(0.01),
             leave_bad: chance(0.25),

@@ -3,28 +3,28 @@
 use super::{BoxOutput, Counts, Datagram, LinkBox};
 use crate::{
     clock::Nanos,
-    rng::{Chance, Stream, stream},
+    rng::{Probability, RandomStream, stream},
     trace::LossTrace,
 };
 
 /// A model of loss.
-pub trait Losing: Send {
+pub trait LossProcess: Send {
     /// Whether the datagram that passes at `now` is lost. Draws as often for every datagram, so
-    /// the n-th meets the same luck whatever its size.
-    fn loses(&mut self, luck: &mut Stream, now: Nanos) -> bool;
+    /// the n-th meets the same draw whatever its size.
+    fn loses(&mut self, random: &mut RandomStream, now: Nanos) -> bool;
 }
 
 /// Each datagram with the same chance, independently of the others.
-impl Losing for Chance {
-    fn loses(&mut self, luck: &mut Stream, _now: Nanos) -> bool {
-        luck.happens(*self)
+impl LossProcess for Probability {
+    fn loses(&mut self, random: &mut RandomStream, _now: Nanos) -> bool {
+        random.happens(*self)
     }
 }
 
 /// Each datagram with the chance that holds when it passes.
-impl Losing for LossTrace {
-    fn loses(&mut self, luck: &mut Stream, now: Nanos) -> bool {
-        luck.happens(self.at(now))
+impl LossProcess for LossTrace {
+    fn loses(&mut self, random: &mut RandomStream, now: Nanos) -> bool {
+        random.happens(self.at(now))
     }
 }
 
@@ -33,20 +33,20 @@ impl Losing for LossTrace {
 pub struct Loss<L> {
     label: String,
     model: L,
-    luck: Stream,
+    random: RandomStream,
     counts: Counts,
 }
 
-impl<L: Losing> Loss<L> {
+impl<L: LossProcess> Loss<L> {
     /// Loss by `model`.
     pub fn new(label: impl Into<String>, model: L, seed: u64) -> Self {
         let label = label.into();
-        let luck = stream(seed, &label);
-        Self { label, model, luck, counts: Counts::default() }
+        let random = stream(seed, &label);
+        Self { label, model, random, counts: Counts::default() }
     }
 }
 
-impl<L: Losing> LinkBox for Loss<L> {
+impl<L: LossProcess> LinkBox for Loss<L> {
     fn label(&self) -> &str {
         &self.label
     }
@@ -54,7 +54,7 @@ impl<L: Losing> LinkBox for Loss<L> {
     fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
         let Some(datagram) = input else { return BoxOutput::Idle };
         self.counts.received.add(datagram);
-        if self.model.loses(&mut self.luck, now) {
+        if self.model.loses(&mut self.random, now) {
             self.counts.dropped.add(datagram);
             return BoxOutput::Idle;
         }

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     clock::{Bytes, Nanos, Rate},
-    rng::Chance,
+    rng::Probability,
     trace::{DelayTrace, LossTrace, Trace},
 };
 
@@ -103,7 +103,7 @@ impl LossModel {
 /// How a path reorders.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reordering {
-    /// Chance that a datagram is held back, 0..=1.
+    /// Probability that a datagram is held back, 0..=1.
     pub probability: f64,
     /// Longest time it is held.
     pub extra: Nanos,
@@ -235,6 +235,6 @@ impl PathConfig {
     }
 }
 
-fn chance(field: &'static str, probability: f64) -> Result<Chance, PathError> {
-    Chance::new(probability).ok_or(PathError { field, found: probability })
+fn chance(field: &'static str, probability: f64) -> Result<Probability, PathError> {
+    Probability::new(probability).ok_or(PathError { field, found: probability })
 }

@@ -18,7 +18,7 @@ pub struct QueueLimit {
 }
 
 /// Two whole datagrams: a shorter queue would let no packet wait behind another.
-const LEAST_BYTES: u64 = 3000;
+const MIN_BYTES: u64 = 3000;
 
 impl QueueLimit {
     /// As many bytes as a link of `rate` sends in `time`, two whole datagrams at least.
@@ -31,7 +31,7 @@ impl QueueLimit {
     /// ```
     pub fn lasting(time: Nanos, rate: Rate) -> Self {
         let Bytes(bytes) = rate.bytes_in(time);
-        Self { bytes: bytes.max(LEAST_BYTES), ..Self::default() }
+        Self { bytes: bytes.max(MIN_BYTES), ..Self::default() }
     }
 }
 

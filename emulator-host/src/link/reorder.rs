@@ -4,26 +4,26 @@ use super::{BoxOutput, Counts, Datagram, LinkBox, Tally};
 use crate::{
     clock::Nanos,
     event::EventQueue,
-    rng::{Chance, Stream, stream},
+    rng::{Probability, RandomStream, stream},
 };
 
 /// Holds some datagrams back for a random while; all others pass at once.
 #[derive(Debug)]
 pub struct Reorder {
     label: String,
-    chance: Chance,
+    chance: Probability,
     extra: Nanos,
-    luck: Stream,
+    random: RandomStream,
     waiting: EventQueue<Datagram>,
     counts: Counts,
 }
 
 impl Reorder {
     /// With `chance`, a datagram is held for a uniform draw from `0..=extra`.
-    pub fn new(label: impl Into<String>, chance: Chance, extra: Nanos, seed: u64) -> Self {
+    pub fn new(label: impl Into<String>, chance: Probability, extra: Nanos, seed: u64) -> Self {
         let label = label.into();
-        let luck = stream(seed, &label);
-        Self { label, chance, extra, luck, waiting: EventQueue::new(), counts: Counts::default() }
+        let random = stream(seed, &label);
+        Self { label, chance, extra, random, waiting: EventQueue::new(), counts: Counts::default() }
     }
 }
 
@@ -36,8 +36,8 @@ impl LinkBox for Reorder {
         if let Some(datagram) = input {
             self.counts.received.add(datagram);
             self.counts.inside.add(datagram);
-            let is_late = self.luck.happens(self.chance);
-            let span = self.luck.up_to(self.extra.0);
+            let is_late = self.random.happens(self.chance);
+            let span = self.random.up_to(self.extra.0);
             self.waiting.push(if is_late { now + Nanos(span) } else { now }, datagram);
         }
         if let Some((_, datagram)) = self.waiting.pop_due(now) {

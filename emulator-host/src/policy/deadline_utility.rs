@@ -25,15 +25,15 @@
 //! window, levels, which is the conventional schedule.
 
 mod config;
+mod forecast;
 mod in_flight;
 mod opening;
-mod outlook;
 mod plan;
 mod untimed;
 mod viewport;
 
-use self::{opening::Opening, outlook::Outlook, plan::Plan};
-use super::{PacketStatus, Scheduler, SenderView, Service};
+use self::{forecast::Forecast, opening::Opening, plan::Plan};
+use super::{PacketStatus, Scheduler, SenderRequirements, SenderView};
 use crate::{
     clock::Nanos,
     graph::{PacketGraph, PacketIndex},
@@ -113,27 +113,30 @@ impl Scheduler for DeadlineUtility {
         })
     }
 
-    fn service(&self) -> Service {
-        Service { own_queue: self.config.own_queue, lost_compete: self.config.lost_compete }
+    fn service(&self) -> SenderRequirements {
+        SenderRequirements {
+            max_queue_delay: self.config.max_queue_delay,
+            lost_compete: self.config.lost_compete,
+        }
     }
 
     fn wants_parity(&mut self, view: &SenderView<'_>, parity: PacketIndex, now: Nanos) -> bool {
         if !self.config.parity_competes {
             return true;
         }
-        let outlook = Outlook::new(view, &self.config, now);
-        self.plan.parity_rank(view, &self.config, &outlook, parity) > self.plan.best_rank()
+        let forecast = Forecast::new(view, &self.config, now);
+        self.plan.parity_rank(view, &self.config, &forecast, parity) > self.plan.best_rank()
     }
 
     fn forecast(&self, view: &SenderView<'_>, packet: PacketIndex, now: Nanos) -> Option<(f64, u32)> {
         if !packet.0.is_multiple_of(FORECAST_EVERY) {
             return None;
         }
-        let outlook = Outlook::new(view, &self.config, now);
-        let bytes = u32::from(view.graph.wire_bytes(packet)) + outlook::OVERHEAD_BYTES;
+        let forecast = Forecast::new(view, &self.config, now);
+        let bytes = u32::from(view.graph.wire_bytes(packet)) + forecast::OVERHEAD_BYTES;
         let needed = view.graph.needed_from(packet);
-        let frame = if needed > outlook.next_frame() { needed } else { view.graph.useful_until(packet) };
-        Some((outlook.chance(bytes, frame, view.smoothed_rtt.as_s()), frame))
+        let frame = if needed > forecast.next_frame() { needed } else { view.graph.useful_until(packet) };
+        Some((forecast.chance(bytes, frame, view.smoothed_rtt.as_s()), frame))
     }
 
     fn on_status(&mut self, view: &SenderView<'_>, packet: PacketIndex, before: PacketStatus) {

@@ -23,7 +23,7 @@
 use super::{Dependency, PacketStatus, Scheduler, SenderView, first_of_closure, probability::mean_arrival};
 use crate::{
     clock::Nanos,
-    graph::{GroupIndex, PacketGraph, PacketIndex, Profile},
+    graph::{ClosureRule, GroupIndex, PacketGraph, PacketIndex},
 };
 
 /// Settings.
@@ -151,7 +151,7 @@ impl DeadlineUtilityPaper {
     /// `None` if something in the closure is lost for good.
     fn need(&self, view: &SenderView<'_>, group: GroupIndex) -> Option<Need> {
         let mut need = Need::default();
-        let mortal = view.graph.profile() == Profile::AllOrNothing;
+        let mortal = view.graph.profile() == ClosureRule::AllOrNothing;
         if view.graph.closure_shares_packets(group) {
             return self.need_by_packet(view, group, mortal);
         }

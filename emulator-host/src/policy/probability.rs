@@ -12,7 +12,7 @@ fn integral(z: f64) -> f64 {
     if z < 0.0 { 1.0 / (root - z) } else { 0.5 * (z + root) }
 }
 
-/// Chance that an error is below `z` scales.
+/// Probability that an error is below `z` scales.
 pub(super) fn distribution(z: f64) -> f64 {
     0.5 * (1.0 + z / (2.0 + z * z).sqrt())
 }

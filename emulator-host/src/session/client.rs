@@ -4,8 +4,8 @@ use super::{
     IP_UDP_BYTES, SessionConfig,
     control::ControlReceiver,
     datagram::{Acknowledgement, Content},
+    delivery_log::DeliveryLog,
     feedback::Reported,
-    news::NewsLog,
     viewer::Viewer,
 };
 use crate::{clock::Nanos, graph::PacketGraph, link::Datagram, receiver::Endpoint};
@@ -132,7 +132,7 @@ impl<'a> Client<'a> {
     }
 
     /// What the news of receipts are.
-    pub(super) fn news(&self) -> &NewsLog {
+    pub(super) fn news(&self) -> &DeliveryLog {
         self.viewer.news()
     }
 

@@ -26,9 +26,9 @@ use crate::{
 const REPEATS: u8 = 4;
 /// Most id ranges, recovered ids and completed groups of one receipt. At 8, 4 and 7 bytes each they fit
 /// together.
-const MOST_RANGES: usize = 64;
-const MOST_RECOVERED: usize = 64;
-const MOST_COMPLETED: usize = 48;
+const MAX_RANGES: usize = 64;
+const MAX_RECOVERED: usize = 64;
+const MAX_COMPLETED: usize = 48;
 
 /// Some news of one kind: those from the `from`-th until before the `to`-th of the session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -179,10 +179,10 @@ impl ReceiptWriter {
         let content = &mut self.content;
         (content.sequence, content.pose) = (sequence, pose);
         content.playout_us = playout_start.map_or(0, |start| start.0.div_ceil(1000).max(1));
-        let arrived = self.arrived.take(MOST_RANGES, &mut content.ids);
+        let arrived = self.arrived.take(MAX_RANGES, &mut content.ids);
         join(&mut content.ids, &mut content.acknowledged);
-        let recovered = self.recovered.take(MOST_RECOVERED, &mut content.recovered);
-        let completed = self.completed.take(MOST_COMPLETED, &mut content.completed);
+        let recovered = self.recovered.take(MAX_RECOVERED, &mut content.recovered);
+        let completed = self.completed.take(MAX_COMPLETED, &mut content.completed);
         let pose = pose.map(|pose| (sequence, pose));
         Reported { arrived, recovered, completed, playout_us: content.playout_us, pose }
     }

@@ -13,7 +13,7 @@ use super::{
     control::{ControlReceiver, ControlSender},
     datagram::Content,
     media_sender::MediaSender,
-    outlook::PathFacts,
+    view_state::PathFacts,
     viewer::Viewer,
 };
 use crate::{
@@ -142,7 +142,7 @@ impl Ideal<'_> {
         }
         let packet = self.media.next(now)?;
         self.media.on_sent(packet, self.sent, now);
-        self.media.on_settled(1, 0, now);
+        self.media.on_acks_and_losses(1, 0, now);
         self.media.on_acked(packet);
         let bytes = self.media.graph().wire_bytes(packet);
         Some((Content::Media(packet), u32::from(bytes)))

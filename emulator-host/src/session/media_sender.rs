@@ -13,14 +13,14 @@ use super::{
     feedback::{self, Feedback},
     forecast::Forecasts,
     loss_share::LossShare,
-    outlook::{Outlook, PathFacts},
     parity_queue::ParityQueue,
     reported_pose::ReportedPose,
+    view_state::{PathFacts, ViewState},
 };
 use crate::{
     clock::{Bytes, Nanos},
     graph::{GroupIndex, PacketGraph, PacketIndex},
-    policy::{PacketStatus, Scheduler, Service},
+    policy::{PacketStatus, Scheduler, SenderRequirements},
     report::SenderCounts,
     startup::{Startup, StartupRule},
 };
@@ -72,7 +72,7 @@ pub struct SendingRules {
 ///     && let Some(packet) = sender.next(now)
 /// {
 ///     sender.on_sent(packet, 0, now);
-///     sender.on_left(1180, now);
+///     sender.on_datagram_sent(1180, now);
 ///     // And when the transport hears of it, or a receipt says so:
 ///     sender.on_acked(packet);
 /// }
@@ -82,7 +82,7 @@ pub struct MediaSender<G, S> {
     graph: G,
     scheduler: S,
     rules: SendingRules,
-    service: Service,
+    service: SenderRequirements,
     status: Vec<PacketStatus>,
     sent_times: Vec<u8>,
     sent_at: Vec<Nanos>,
@@ -91,7 +91,7 @@ pub struct MediaSender<G, S> {
     parity: ParityQueue,
     /// Level-0 bytes of frame 0 that were never sent and are not known to be there.
     first_base_bytes: u64,
-    outlook: Outlook,
+    view_state: ViewState,
     known_start: Option<Nanos>,
     /// Before this time the horizon stands.
     horizon_moves_at: Nanos,
@@ -130,7 +130,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             again: VecDeque::new(),
             parity: ParityQueue::new(&graph),
             first_base_bytes,
-            outlook: Outlook::new(path, rules.retransmissions, rules.startup.rule),
+            view_state: ViewState::new(path, rules.retransmissions, rules.startup.rule),
             known_start: None,
             horizon_moves_at: Nanos::ZERO,
             reported_pose: ReportedPose::default(),
@@ -163,7 +163,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
 
     /// What the transport said of the path when it was last heard.
     pub fn path(&self) -> &PathFacts {
-        &self.outlook.path
+        &self.view_state.path
     }
 
     /// What this core counts: media, parity, repeats, refusals. Counts of datagrams are the transport's.
@@ -188,14 +188,14 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// The viewer is where another sender to it was last informed that it is.
     pub fn set_reported_pose(&mut self, reported_pose: ReportedPose) {
         self.reported_pose = reported_pose;
-        self.outlook.viewpoint = reported_pose.viewpoint();
+        self.view_state.viewpoint = reported_pose.viewpoint();
     }
 
     /// When more of the clip comes within the horizon, so that [`Self::next`] may have something again.
     pub fn next_horizon_at(&self) -> Nanos {
         let Some(start) = self.known_start else { return Nanos::MAX };
-        let reach = start + self.graph.frame_interval().times(u64::from(self.outlook.horizon_frame));
-        if self.outlook.horizon_frame >= self.graph.frames() {
+        let reach = start + self.graph.frame_interval().times(u64::from(self.view_state.horizon_frame));
+        if self.view_state.horizon_frame >= self.graph.frames() {
             Nanos::MAX
         } else {
             reach - self.rules.lookahead
@@ -210,10 +210,10 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// Renews what the scheduler sees of path and playout; to be called after news of the path. Before
     /// playout has started, the sender expects it to start when the rest of the first base could be there.
     pub fn look(&mut self, path: PathFacts, now: Nanos) {
-        self.outlook.path = path.plausible();
-        self.outlook.loss = self.loss.share(now);
-        self.outlook.playing = self.known_start.is_some();
-        self.outlook.playout_start = self.known_start.unwrap_or_else(|| {
+        self.view_state.path = path.plausible();
+        self.view_state.loss = self.loss.share(now);
+        self.view_state.playing = self.known_start.is_some();
+        self.view_state.playout_start = self.known_start.unwrap_or_else(|| {
             let latest = self.rules.startup.max_wait.max(now);
             let base = path.rate.time_for(Bytes(self.first_base_bytes));
             match self.rules.startup.rule {
@@ -236,15 +236,15 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// last heard: otherwise what is shown first would count as too late while a link stands still.
     fn expect_start_after(&mut self, now: Nanos) {
         if self.known_start.is_none() {
-            self.outlook.playout_start = self.outlook.playout_start.max(now);
+            self.view_state.playout_start = self.view_state.playout_start.max(now);
         }
     }
 
     /// Moves the horizon; with more of the clip within it there may be something to send again.
     fn widen(&mut self, now: Nanos) {
-        let before = self.outlook.horizon_frame;
+        let before = self.view_state.horizon_frame;
         self.move_horizon(now);
-        self.starved &= self.outlook.horizon_frame == before;
+        self.starved &= self.view_state.horizon_frame == before;
     }
 
     /// Until when another datagram would only lengthen the sender's own queue on the path; `None` if it would
@@ -253,20 +253,20 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// and without an acknowledgement of something later nothing but the probe timeout would tell. Control is
     /// not subject to this.
     pub fn full_until(&self, now: Nanos) -> Option<Nanos> {
-        let path = &self.outlook.path;
-        let own_queue = self.service.own_queue.filter(|_| path.minimum_rtt > Nanos::ZERO)?;
+        let path = &self.view_state.path;
+        let max_queue_delay = self.service.max_queue_delay.filter(|_| path.minimum_rtt > Nanos::ZERO)?;
         if path.in_flight < 2 * path.datagram_bytes {
             return None;
         }
         // A path of many milliseconds needs as many more to be probed for its rate.
-        let widest = own_queue.max(path.minimum_rtt);
-        let queue = if self.outlook.loss < FEW_LOSSES { Nanos(widest.0 / 20 * 9) } else { widest };
+        let widest = max_queue_delay.max(path.minimum_rtt);
+        let queue = if self.view_state.loss < FEW_LOSSES { Nanos(widest.0 / 20 * 9) } else { widest };
         let longest = path.minimum_rtt + queue;
         if path.rate.moves_within(Bytes(path.in_flight), longest) {
             return None;
         }
         let silence = path.rate.time_for(Bytes(2 * path.datagram_bytes)).min(LONGEST_SILENCE);
-        let silence = silence.max(own_queue.times(2));
+        let silence = silence.max(max_queue_delay.times(2));
         let silence_ends = self.last_sent_at + silence;
         (now < silence_ends).then_some(silence_ends)
     }
@@ -284,7 +284,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
 
     fn next_of_any(&mut self, now: Nanos) -> Option<PacketIndex> {
         let packet = self.next_lost(now).or_else(|| {
-            let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
+            let view = self.view_state.view(&self.graph, &self.status, &self.sent_at);
             self.parity.next(&mut self.scheduler, &view, now)
         });
         let packet = if packet.is_none() && !self.starved { self.next_choice(now) } else { packet }?;
@@ -307,13 +307,13 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     }
 
     /// A datagram of any kind has left; `in_flight` bytes of UDP payload are out now.
-    pub fn on_left(&mut self, in_flight: u64, now: Nanos) {
+    pub fn on_datagram_sent(&mut self, in_flight: u64, now: Nanos) {
         self.last_sent_at = now;
-        self.outlook.path.in_flight = in_flight;
+        self.view_state.path.in_flight = in_flight;
     }
 
     /// The fate of so many datagrams of any kind has become known.
-    pub fn on_settled(&mut self, acked: usize, lost: usize, now: Nanos) {
+    pub fn on_acks_and_losses(&mut self, acked: usize, lost: usize, now: Nanos) {
         self.loss.settle(acked, lost, now);
     }
 
@@ -342,7 +342,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             return;
         }
         self.expect_start_after(now);
-        let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
+        let view = self.view_state.view(&self.graph, &self.status, &self.sent_at);
         let expired = view.is_expired(packet, now);
         if self.service.lost_compete && !self.is_parity(packet) {
             self.set_status(packet, if expired { PacketStatus::Abandoned } else { PacketStatus::Waiting });
@@ -387,7 +387,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// A receipt has said where the viewer was: its number, and the pose.
     pub(super) fn on_pose(&mut self, (sequence, pose): (u32, ViewerPose)) {
         self.reported_pose.take(sequence, &pose);
-        self.outlook.viewpoint = self.reported_pose.viewpoint();
+        self.view_state.viewpoint = self.reported_pose.viewpoint();
     }
 
     fn is_parity(&self, packet: PacketIndex) -> bool {
@@ -400,7 +400,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             if self.status[lost.at()] != PacketStatus::InFlight {
                 continue;
             }
-            if !self.outlook.view(&self.graph, &self.status, &self.sent_at).is_expired(lost, now) {
+            if !self.view_state.view(&self.graph, &self.status, &self.sent_at).is_expired(lost, now) {
                 self.counts.retransmitted += 1;
                 return Some(lost);
             }
@@ -412,7 +412,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// What the scheduler says; with nothing else to send, parity that was not worth its bytes before may be,
     /// while what it protects is on its way.
     fn next_choice(&mut self, now: Nanos) -> Option<PacketIndex> {
-        let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
+        let view = self.view_state.view(&self.graph, &self.status, &self.sent_at);
         let mut packet = self.scheduler.next(&view, now);
         if packet.is_some_and(|packet| !view.is_sendable(packet, now) || view.graph.is_parity(packet)) {
             self.counts.refused_choices += 1;
@@ -452,7 +452,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     fn set_status(&mut self, packet: PacketIndex, after: PacketStatus) {
         let before = std::mem::replace(&mut self.status[packet.at()], after);
         if before != after {
-            let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
+            let view = self.view_state.view(&self.graph, &self.status, &self.sent_at);
             self.scheduler.on_status(&view, packet, before);
         }
     }
@@ -462,7 +462,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         let interval = self.graph.frame_interval();
         let played = self.known_start.map_or(Nanos::ZERO, |start| now - start);
         let frames = (played + self.rules.lookahead).0 / interval.0 + 1;
-        self.outlook.horizon_frame = u32::try_from(frames).unwrap_or(u32::MAX);
+        self.view_state.horizon_frame = u32::try_from(frames).unwrap_or(u32::MAX);
         let reach = interval.times(frames) - self.rules.lookahead;
         self.horizon_moves_at = self.known_start.map_or(Nanos::MAX, |start| start + reach);
     }

@@ -3,7 +3,7 @@
 use super::forecast::Forecasts;
 use crate::{
     clock::{Bytes, Nanos, Rate},
-    graph::{GroupIndex, PacketGraph, PacketIndex, Profile},
+    graph::{ClosureRule, GroupIndex, PacketGraph, PacketIndex},
     link::Counts,
     receiver::{Arrival, Snapshot, take_fresh},
     report::{BoxRow, FrameRow, Report, SenderCounts, SenderRow, Waste},
@@ -40,7 +40,7 @@ pub(super) struct Metrics<'a> {
     missing: Vec<Active>,
     shown: Snapshot,
     usable_bytes: u64,
-    /// Usable bytes and all bytes of each group ([`Profile::Sliced`] only).
+    /// Usable bytes and all bytes of each group ([`ClosureRule::Sliced`] only).
     group_bytes: Vec<(u32, u32)>,
     /// First frame that was still to come when a packet arrived.
     arrived: Vec<u32>,
@@ -61,7 +61,7 @@ impl<'a> Metrics<'a> {
         let mut by_first: Vec<GroupIndex> = (0..graph.groups().len() as u32).map(GroupIndex).collect();
         by_first.sort_by_key(|index| (graph.groups()[index.at()].first_frame, *index));
         let mut group_bytes = Vec::new();
-        if graph.profile() == Profile::Sliced {
+        if graph.profile() == ClosureRule::Sliced {
             let bytes = |packet: &PacketIndex| u32::from(graph.packets()[packet.at()].wire_bytes);
             group_bytes.extend(graph.groups().iter().map(|group| (0, group.packets.iter().map(bytes).sum())));
         }

@@ -171,7 +171,7 @@ impl Outstanding {
         S: Scheduler,
     {
         if arrived + lost.len() > 0 {
-            sender.on_settled(arrived, lost.len(), now);
+            sender.on_acks_and_losses(arrived, lost.len(), now);
         }
         for sending in lost {
             sender.on_lost(sending.packet, sending.number, now);

@@ -4,10 +4,10 @@ use super::{
     IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig,
     control::ControlSender,
     datagram::{Acknowledgement, Content},
+    delivery_log::{DeliveryLog, LogReader},
     feedback::Reported,
     media_sender::MediaSender,
-    news::{Heard, NewsLog},
-    outlook::PathFacts,
+    view_state::PathFacts,
 };
 use crate::{
     clock::{Bytes, Nanos},
@@ -21,7 +21,7 @@ use crate::{
 pub(super) struct Sender<'a> {
     config: &'a SessionConfig,
     graph: &'a PacketGraph,
-    heard: Heard,
+    heard: LogReader,
     media: MediaSender<&'a PacketGraph, &'a mut dyn Scheduler>,
     recovery: Recovery,
     control: ControlSender,
@@ -50,7 +50,7 @@ impl<'a> Sender<'a> {
         Self {
             config,
             graph,
-            heard: Heard::default(),
+            heard: LogReader::default(),
             media: MediaSender::new(graph, scheduler, config.sending(), path, Nanos::ZERO),
             control: ControlSender::new(graph.manifest_bytes()),
             contents: Vec::with_capacity(graph.packets().len()),
@@ -116,7 +116,7 @@ impl<'a> Sender<'a> {
         &mut self,
         ack: Acknowledgement<'_>,
         reported: Reported,
-        news: &NewsLog,
+        news: &DeliveryLog,
         now: Nanos,
     ) {
         let mut outcome = std::mem::take(&mut self.outcome);
@@ -217,7 +217,7 @@ impl<'a> Sender<'a> {
         if let Content::Media(packet) = content {
             self.media.on_sent(packet, number, now);
         }
-        self.media.on_left(self.recovery.in_flight(), now);
+        self.media.on_datagram_sent(self.recovery.in_flight(), now);
         Datagram { tag: number, bytes: bytes + IP_UDP_BYTES }
     }
 
@@ -237,7 +237,7 @@ impl<'a> Sender<'a> {
 
     fn settle(&mut self, outcome: &AckOutcome, now: Nanos) {
         self.counts.spurious += outcome.spurious.len() as u64;
-        self.media.on_settled(outcome.acked.len(), outcome.lost.len(), now);
+        self.media.on_acks_and_losses(outcome.acked.len(), outcome.lost.len(), now);
         for number in outcome.acked.iter().chain(&outcome.spurious) {
             match self.content(*number) {
                 Content::Media(packet) => self.media.on_acked(packet),

@@ -3,8 +3,8 @@
 //! It serves every transport in virtual time; sizes of media come from the graph.
 
 use super::{
-    SessionConfig, feedback::Reported, media_receiver::MediaReceiver, media_sender::MediaSender,
-    metrics::Metrics, news::NewsLog, viewer_path::ViewerPath,
+    SessionConfig, delivery_log::DeliveryLog, feedback::Reported, media_receiver::MediaReceiver,
+    media_sender::MediaSender, metrics::Metrics, viewer_path::ViewerPath,
 };
 use crate::{
     clock::Nanos,
@@ -28,7 +28,7 @@ pub struct Viewer<'a> {
     /// Bit `i % 64` of word `i / 64`: group `i` has been reported.
     reported_groups: Vec<u64>,
     recovered: Vec<PacketIndex>,
-    news: NewsLog,
+    news: DeliveryLog,
     path: Option<ViewerPath>,
 }
 
@@ -53,7 +53,7 @@ impl<'a> Viewer<'a> {
             share: config.startup.rule.share(),
             reported_groups: vec![0; graph.groups().len().div_ceil(64)],
             recovered: Vec::new(),
-            news: NewsLog::default(),
+            news: DeliveryLog::default(),
             path: config.viewer.clone(),
         };
         viewer.look();
@@ -148,7 +148,7 @@ impl<'a> Viewer<'a> {
     }
 
     /// All news so far.
-    pub(super) fn news(&self) -> &NewsLog {
+    pub(super) fn news(&self) -> &DeliveryLog {
         &self.news
     }
 

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use super::Trial;
-use crate::rng::{Stream, stream};
+use crate::rng::{RandomStream, stream};
 
 type Column = (&'static str, fn(&Trial) -> f64);
 
@@ -146,7 +146,7 @@ fn windows(trials: &[&Trial], arms: &[Arm<'_>]) -> Vec<Vec<Window>> {
     by_trace.values().map(|windows| windows.values().map(over_conditions).collect()).collect()
 }
 
-fn resample<'a>(traces: &'a [Vec<Window>], luck: &mut Stream) -> Vec<&'a Window> {
+fn resample<'a>(traces: &'a [Vec<Window>], luck: &mut RandomStream) -> Vec<&'a Window> {
     let mut sample = Vec::new();
     for _ in 0..traces.len() {
         let trace = &traces[luck.up_to(traces.len() as u64 - 1) as usize];

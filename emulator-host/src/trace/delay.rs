@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use super::{
     Limits, TraceError, Warning,
-    doubts::doubtful_delay,
     lines::{check_points, check_text, decimal, field, lines},
     steps,
+    unit_checks::delay_unit_warning,
 };
 use crate::clock::Nanos;
 
 /// Longest delay of a trace, ms.
-pub(super) const MOST_MS: f64 = 60_000.0;
+pub(super) const MAX_MS: f64 = 60_000.0;
 
 /// One-way delays that hold from one time to the next, repeating at the end. Not empty.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -33,7 +33,7 @@ impl DelayTrace {
         let mut delays = Vec::new();
         for line in lines(bytes, limits) {
             let (number, text) = line?;
-            let Some(ms) = decimal(text).filter(|ms| *ms <= MOST_MS) else {
+            let Some(ms) = decimal(text).filter(|ms| *ms <= MAX_MS) else {
                 return Err(field(number, "delay in ms", text, "a decimal number from 0 to 60000"));
             };
             delays.push((interval.times(delays.len() as u64), Nanos((ms * 1e6).round() as u64)));
@@ -61,8 +61,8 @@ impl DelayTrace {
     }
 
     /// What makes its unit doubtful, by the median.
-    pub fn doubt(&self) -> Option<Warning> {
-        doubtful_delay(self.median())
+    pub fn unit_warning(&self) -> Option<Warning> {
+        delay_unit_warning(self.median())
     }
 
     /// The whole trace, entered at `offset`.

@@ -9,14 +9,14 @@ use std::sync::Arc;
 
 use super::{
     DelayTrace, Limits, MAX_PERIOD, MAX_RATE, Step, Trace, TraceError,
-    delay::MOST_MS,
-    doubts::doubts,
+    delay::MAX_MS,
     lines::{check_points, check_text, decimal, field, first_line, rows},
     steps,
+    unit_checks::unit_warnings,
 };
 use crate::{
     clock::{Nanos, Rate},
-    rng::Chance,
+    rng::Probability,
 };
 
 /// How long a lone line holds.
@@ -25,13 +25,13 @@ const LONE: Nanos = Nanos::from_s(1);
 /// Loss over time: each datagram is lost with the chance that holds when it passes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LossTrace {
-    chances: Arc<[(Nanos, Chance)]>,
+    chances: Arc<[(Nanos, Probability)]>,
     period: Nanos,
 }
 
 impl LossTrace {
     /// The chance that holds at `now`.
-    pub fn at(&self, now: Nanos) -> Chance {
+    pub fn at(&self, now: Nanos) -> Probability {
         steps::at(&self.chances, self.period, now).unwrap_or_default()
     }
 
@@ -117,7 +117,7 @@ struct Recorded {
     columns: usize,
     rates: Vec<Step>,
     delays: Vec<(Nanos, Nanos)>,
-    chances: Vec<(Nanos, Chance)>,
+    chances: Vec<(Nanos, Probability)>,
 }
 
 impl Recorded {
@@ -146,13 +146,13 @@ impl Recorded {
         let Some(mbps) = decimal(rate).filter(|mbps| *mbps * 1e6 <= MAX_RATE.0 as f64) else {
             return Err(field(number, "rate in Mbit/s", rate, "a decimal number from 0 to 10^6"));
         };
-        let Some(ms) = decimal(delay).filter(|ms| *ms <= MOST_MS) else {
+        let Some(ms) = decimal(delay).filter(|ms| *ms <= MAX_MS) else {
             return Err(field(number, "delay in ms", delay, "a decimal number from 0 to 60000"));
         };
         self.rates.push(Step { at, rate: Rate((mbps * 1e6).round() as u64) });
         self.delays.push((at, Nanos((ms * 1e6).round() as u64)));
         if let [loss] = loss {
-            let chance = decimal(loss).and_then(|percent| Chance::new(percent / 100.0));
+            let chance = decimal(loss).and_then(|percent| Probability::new(percent / 100.0));
             let allowed = "a decimal number from 0 to 100";
             self.chances.push((at, chance.ok_or_else(|| field(number, "loss in %", loss, allowed))?));
         }
@@ -164,8 +164,8 @@ impl Recorded {
         let tail = self.rates.windows(2).last().map_or(LONE, |pair| pair[1].at - pair[0].at);
         let period = last + tail;
         let delay = DelayTrace::of(self.delays, period);
-        let mut warnings = doubts(&self.rates);
-        warnings.extend(delay.doubt());
+        let mut warnings = unit_warnings(&self.rates);
+        warnings.extend(delay.unit_warning());
         let capacity = Trace { warnings, ..Trace::steps(name, self.rates, period)? };
         let loss = (!self.chances.is_empty()).then(|| LossTrace { chances: self.chances.into(), period });
         Ok(Replay { capacity, delay: Some(delay), loss })
@@ -185,8 +185,9 @@ mod tests {
         let replay = load("10 1 20 0\n10.5, 3, 40.5, 100\n11.5 2 10 0\n").unwrap();
         assert_eq!(replay.capacity.period(), Nanos::from_ms(2500));
         let (delay, loss) = (replay.delay.clone().unwrap(), replay.loss.clone().unwrap());
-        let at =
-            |ms| (delay.at(Nanos::from_ms(ms)).0 / 1000, loss.at(Nanos::from_ms(ms)) != Chance::default());
+        let at = |ms| {
+            (delay.at(Nanos::from_ms(ms)).0 / 1000, loss.at(Nanos::from_ms(ms)) != Probability::default())
+        };
         let seen = [at(0), at(499), at(500), at(1499), at(1500), at(2500), at(3000)];
         let low = (20_000, false);
         assert_eq!(seen, [low, low, (40_500, true), (40_500, true), (10_000, false), low, (40_500, true)]);

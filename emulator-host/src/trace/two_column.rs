@@ -2,14 +2,14 @@
 
 use super::{
     Limits, MAX_PERIOD, MAX_RATE, Step, Trace, TraceError,
-    doubts::doubts,
     lines::{check_points, check_text, decimal, field, rows as lines_of},
+    unit_checks::unit_warnings,
 };
 use crate::clock::{Nanos, Rate};
 
 /// Which way the rate of a row holds. The two families of public traces differ; the difference is one step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Holds {
+pub enum HoldDirection {
     /// From its own time until the next row's; the last row for as long as the one before it.
     Forward,
     /// From the previous row's time until its own; the first row for as long as the second.
@@ -21,12 +21,17 @@ impl Trace {
     ///
     /// # Errors
     /// See [`TraceError`].
-    pub fn two_column(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Self, TraceError> {
+    pub fn two_column(
+        name: &str,
+        bytes: &[u8],
+        holds: HoldDirection,
+        limits: &Limits,
+    ) -> Result<Self, TraceError> {
         load(name, bytes, holds, limits)
     }
 }
 
-fn load(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Trace, TraceError> {
+fn load(name: &str, bytes: &[u8], holds: HoldDirection, limits: &Limits) -> Result<Trace, TraceError> {
     check_text(bytes, limits)?;
     let mut rows: Vec<Step> = Vec::new();
     let mut first_s = None;
@@ -62,14 +67,14 @@ fn load(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Trace
         check_points(rows.len(), limits)?;
     }
     let Some(last) = rows.last().map(|row| row.at) else { return Err(TraceError::NoCapacity) };
-    let warnings = doubts(&rows);
+    let warnings = unit_warnings(&rows);
     let lone = Nanos::from_s(1);
     let trace = match holds {
-        Holds::Forward => {
+        HoldDirection::Forward => {
             let tail = rows.windows(2).last().map_or(lone, |pair| pair[1].at - pair[0].at);
             Trace::steps(name, rows, last + tail)
         }
-        Holds::Backward => {
+        HoldDirection::Backward => {
             let head = rows.windows(2).next().map_or(lone, |pair| pair[1].at - pair[0].at);
             let mut start = Nanos::ZERO;
             for row in &mut rows {
@@ -88,7 +93,7 @@ mod tests {
     use super::super::Shape;
     use super::*;
 
-    fn steps(holds: Holds) -> (Vec<(u64, u64)>, u64) {
+    fn steps(holds: HoldDirection) -> (Vec<(u64, u64)>, u64) {
         let trace = load("t", b"300.0 1\n300.5\t2.5\n302.5 3\n", holds, &Limits::default()).unwrap();
         let Shape::Steps(steps) = trace.shape() else { panic!("steps") };
         let rows = steps.iter().map(|s| (s.at.0 / 1_000_000, s.rate.0 / 1000)).collect();
@@ -97,14 +102,14 @@ mod tests {
 
     #[test]
     fn both_conventions_differ_by_one_step() {
-        assert_eq!(steps(Holds::Forward), (vec![(0, 1000), (500, 2500), (2500, 3000)], 4500));
-        assert_eq!(steps(Holds::Backward), (vec![(0, 1000), (500, 2500), (1000, 3000)], 3000));
+        assert_eq!(steps(HoldDirection::Forward), (vec![(0, 1000), (500, 2500), (2500, 3000)], 4500));
+        assert_eq!(steps(HoldDirection::Backward), (vec![(0, 1000), (500, 2500), (1000, 3000)], 3000));
     }
 
     #[test]
     fn milliseconds_and_kilobits_are_noticed_and_named() {
         let warnings = |text: &str| {
-            let trace = load("t", text.as_bytes(), Holds::Forward, &Limits::default()).unwrap();
+            let trace = load("t", text.as_bytes(), HoldDirection::Forward, &Limits::default()).unwrap();
             trace.warnings().iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
         };
         assert_eq!(warnings("0 3.1\n1 2.7\n2 3.0\n3 2\n"), "");
@@ -119,19 +124,19 @@ mod tests {
 
     #[test]
     fn marks_comments_and_names_of_columns_are_passed_over() {
-        let whole = load("t", b"0,1\n1,2\n", Holds::Forward, &Limits::default()).unwrap();
+        let whole = load("t", b"0,1\n1,2\n", HoldDirection::Forward, &Limits::default()).unwrap();
         for text in [
             "\u{feff}0,1\n1,2\n",
             "# a phone\n0,1\n# indoors\n1,2\n",
             "time_s,mbps\n0,1\n1,2\n",
             "\u{feff}# a phone\n\"time\", \"rate\"\n0,1\n1,2\n",
         ] {
-            let found = load("t", text.as_bytes(), Holds::Forward, &Limits::default()).unwrap();
+            let found = load("t", text.as_bytes(), HoldDirection::Forward, &Limits::default()).unwrap();
             assert_eq!(found.shape(), whole.shape(), "{text}");
         }
-        let twice = load("t", b"a,b\nc,d\n0,1\n", Holds::Forward, &Limits::default()).unwrap_err();
+        let twice = load("t", b"a,b\nc,d\n0,1\n", HoldDirection::Forward, &Limits::default()).unwrap_err();
         assert!(twice.to_string().starts_with("line 2, time in s: found \"c\""), "{twice}");
-        let packed = load("t", &[0x1f, 0x8b, 8, 0], Holds::Forward, &Limits::default()).unwrap_err();
+        let packed = load("t", &[0x1f, 0x8b, 8, 0], HoldDirection::Forward, &Limits::default()).unwrap_err();
         assert_eq!(packed.to_string(), "gzip: unpack it first");
     }
 
@@ -142,7 +147,7 @@ mod tests {
         let direction = super::super::Direction::Down;
         for loaded in [
             Trace::mahimahi("t", json, &limits),
-            Trace::two_column("t", json, Holds::Forward, &limits),
+            Trace::two_column("t", json, HoldDirection::Forward, &limits),
             Trace::ucc("t", json, direction, &limits),
         ] {
             assert_eq!(loaded.unwrap_err(), TraceError::Json);
@@ -159,7 +164,7 @@ mod tests {
             ("0 1 2\n", "line 1, third column: found \"2\""),
             ("x 1\n", "line 1, time in s: found \"x\""),
         ] {
-            let error = load("t", text.as_bytes(), Holds::Forward, &Limits::default()).unwrap_err();
+            let error = load("t", text.as_bytes(), HoldDirection::Forward, &Limits::default()).unwrap_err();
             assert!(error.to_string().starts_with(start), "{error}");
         }
     }

@@ -7,9 +7,9 @@ use super::{
 };
 use crate::{Image, reference};
 
-struct Numbers(u64);
+struct TestRng(u64);
 
-impl Numbers {
+impl TestRng {
     fn between(&mut self, low: f32, high: f32) -> f32 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         low + (high - low) * ((self.0 >> 40) as f32 / (1u64 << 24) as f32)
@@ -25,7 +25,7 @@ struct Scene {
 
 impl Scene {
     fn random(n: usize, degree: u8, [small, large]: [f32; 2], seed: u64) -> Self {
-        let mut r = Numbers(seed);
+        let mut r = TestRng(seed);
         let degree = ShDegree::new(degree).unwrap();
         let gaussians = (0..n)
             .map(|i| Gaussian {
@@ -51,7 +51,7 @@ fn camera(width: u32, height: u32) -> Camera {
 }
 
 fn noise(width: u32, height: u32, seed: u64) -> Image {
-    let mut r = Numbers(seed);
+    let mut r = TestRng(seed);
     Image::new(width, height, (0..3 * width * height).map(|_| r.between(0.0, 1.0)).collect()).unwrap()
 }
 

@@ -45,7 +45,7 @@ struct Found {
 }
 
 #[derive(Default)]
-struct Room {
+struct TileScratch {
     culling: TileCulling,
     runs: SplatRuns,
     passes: Vec<Pass>,
@@ -98,10 +98,14 @@ pub(super) fn gradients(
     found.resize_with(tiles, Found::default);
     if worlds > 0 {
         let mut work: Vec<_> = found.iter_mut().zip(errors.chunks_mut(worlds)).collect();
-        parallel::for_each_with(settings.parallel, &mut work, |room: &mut Room, tile, (found, errors)| {
-            let walk = Walk { room, engine, plan: &plan, tile, weights, scale, found, errors };
-            pulp::Arch::new().dispatch(walk);
-        });
+        parallel::for_each_with(
+            settings.parallel,
+            &mut work,
+            |scratch: &mut TileScratch, tile, (found, errors)| {
+                let walk = TileJob { scratch, engine, plan: &plan, tile, weights, scale, found, errors };
+                pulp::Arch::new().dispatch(walk);
+            },
+        );
     }
     let mut out = WorldGradients { losses: vec![0.0; worlds], ..WorldGradients::default() };
     for part in errors.chunks(worlds.max(1)) {
@@ -141,8 +145,8 @@ fn gather(engine: &Engine, found: &[Found], splats: usize) -> Vec<adjoint::Ellip
 }
 
 /// One tile's work, as a value, so that it can be compiled once per vector width.
-struct Walk<'a> {
-    room: &'a mut Room,
+struct TileJob<'a> {
+    scratch: &'a mut TileScratch,
     engine: &'a Engine,
     plan: &'a Worlds,
     tile: usize,
@@ -152,13 +156,13 @@ struct Walk<'a> {
     errors: &'a mut [f64],
 }
 
-impl pulp::WithSimd for Walk<'_> {
+impl pulp::WithSimd for TileJob<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { room, engine, plan, tile, weights, scale, found, errors } = self;
-        let Room { culling, runs, passes, seen, sums, back } = room;
+        let Self { scratch, engine, plan, tile, weights, scale, found, errors } = self;
+        let TileScratch { culling, runs, passes, seen, sums, back } = scratch;
         let Engine { shared, settings, .. } = engine;
         let groups = shared.groups(tile);
         passes.resize_with(plan.passes(), Pass::default);

@@ -44,10 +44,15 @@ pub(super) fn distortions(engine: &Engine, versions: &Versions, contexts: &[Vec<
         let pictures: Vec<Base> = (0..some.len()).map(|i| Base::new(engine, &target, &tiles, i)).collect();
         base.extend(pictures.iter().map(|picture| picture.distortion(&target)));
         let mut worlds = by_world(&tiles, some.len() * versions.groups());
-        parallel::for_each_with(engine.settings.parallel, &mut worlds, |room: &mut Room, _, world| {
-            let context = world.at / versions.groups();
-            world.distortion = room.distortion(engine, &target, &tiles, (context, &pictures[context]), world);
-        });
+        parallel::for_each_with(
+            engine.settings.parallel,
+            &mut worlds,
+            |scratch: &mut TileScratch, _, world| {
+                let context = world.at / versions.groups();
+                world.distortion =
+                    scratch.distortion(engine, &target, &tiles, (context, &pictures[context]), world);
+            },
+        );
         for World { at, distortion, .. } in worlds {
             changed.push((first + at / versions.groups(), at % versions.groups(), distortion));
         }
@@ -183,7 +188,7 @@ fn square(pixels: &Pixels, reference: &TilePlanes, block: usize, place: &Place) 
 
 /// What a thread keeps from world to world.
 #[derive(Default)]
-struct Room {
+struct TileScratch {
     /// Context whose picture `planes` is between two worlds.
     context: Option<usize>,
     planes: Planes,
@@ -193,7 +198,7 @@ struct Room {
     reached: Vec<Rectangle>,
 }
 
-impl Room {
+impl TileScratch {
     /// Distortion of a world of `context`, whose picture is `base`.
     fn distortion(
         &mut self,

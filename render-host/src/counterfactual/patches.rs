@@ -55,8 +55,8 @@ impl Changes {
 /// Draws every tile.
 pub(super) fn draw(engine: &Engine, versions: &Versions, contexts: &[Vec<u32>]) -> Vec<Changes> {
     let mut out = vec![Changes::default(); engine.shared.tiles()];
-    parallel::for_each_with(engine.settings.parallel, &mut out, |room: &mut Room, tile, out| {
-        pulp::Arch::new().dispatch(Draw { room, engine, versions, contexts, tile, out });
+    parallel::for_each_with(engine.settings.parallel, &mut out, |scratch: &mut TileScratch, tile, out| {
+        pulp::Arch::new().dispatch(Draw { scratch, engine, versions, contexts, tile, out });
     });
     out
 }
@@ -120,7 +120,7 @@ impl Toggles {
 
 /// What a thread keeps from tile to tile.
 #[derive(Default)]
-struct Room {
+struct TileScratch {
     culling: TileCulling,
     runs: SplatRuns,
     pass: Pass,
@@ -133,7 +133,7 @@ struct Room {
 
 /// One tile's work, as a value, so that it can be compiled once per vector width.
 struct Draw<'a> {
-    room: &'a mut Room,
+    scratch: &'a mut TileScratch,
     engine: &'a Engine,
     versions: &'a Versions,
     contexts: &'a [Vec<u32>],
@@ -146,8 +146,8 @@ impl pulp::WithSimd for Draw<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { room, engine, versions, contexts, tile, out } = self;
-        let Room { culling, runs, pass, seen, tree, toggles, shown } = room;
+        let Self { scratch, engine, versions, contexts, tile, out } = self;
+        let TileScratch { culling, runs, pass, seen, tree, toggles, shown } = scratch;
         let (shared, settings) = (&engine.shared, &engine.settings);
         let groups = shared.groups(tile);
         toggles.list(groups, versions, contexts);

@@ -68,7 +68,7 @@ impl Sums {
 }
 
 #[derive(Default)]
-struct Room {
+struct TileScratch {
     culling: TileCulling,
     runs: SplatRuns,
     passes: Vec<Pass>,
@@ -147,28 +147,32 @@ pub(super) fn run(engine: &Engine, plan: &impl LanePlan) -> Sums {
         rest = after;
         work.push((tile, own));
     }
-    parallel::for_each_with(engine.settings.parallel, &mut work, |room: &mut Room, _, (tile, out)| {
-        pulp::Arch::new().dispatch(Walk { room, engine, plan, tile: *tile, out });
-    });
+    parallel::for_each_with(
+        engine.settings.parallel,
+        &mut work,
+        |scratch: &mut TileScratch, _, (tile, out)| {
+            pulp::Arch::new().dispatch(TileJob { scratch, engine, plan, tile: *tile, out });
+        },
+    );
     Sums { values, starts }
 }
 
 /// One tile's work, as a value, so that it can be compiled once per vector width.
-struct Walk<'a, P> {
-    room: &'a mut Room,
+struct TileJob<'a, P> {
+    scratch: &'a mut TileScratch,
     engine: &'a Engine,
     plan: &'a P,
     tile: usize,
     out: &'a mut [f64],
 }
 
-impl<P: LanePlan> pulp::WithSimd for Walk<'_, P> {
+impl<P: LanePlan> pulp::WithSimd for TileJob<'_, P> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { room, engine, plan, tile, out } = self;
-        let Room { culling, runs, passes, seen } = room;
+        let Self { scratch, engine, plan, tile, out } = self;
+        let TileScratch { culling, runs, passes, seen } = scratch;
         let Engine { shared, settings, .. } = engine;
         let groups = shared.groups(tile);
         out.fill(0.0);

@@ -255,14 +255,14 @@ mod tests {
     use crate::stage::TILE;
     use proptest::prelude::*;
 
-    struct Walk<'a> {
+    struct TileJob<'a> {
         runs: &'a mut SplatRuns,
         lanes: &'a Lanes,
         limit: usize,
         segments: &'a mut RunSegments,
     }
 
-    impl pulp::WithSimd for Walk<'_> {
+    impl pulp::WithSimd for TileJob<'_> {
         type Output = ();
 
         fn with_simd<S: Simd>(self, simd: S) {
@@ -300,7 +300,7 @@ mod tests {
             let mut segments = RunSegments::default();
             for scalar in [true, false] {
                 segments.reset();
-                let walk = Walk { runs: &mut runs, lanes: &lanes, limit, segments: &mut segments };
+                let walk = TileJob { runs: &mut runs, lanes: &lanes, limit, segments: &mut segments };
                 if scalar {
                     pulp::WithSimd::with_simd(walk, pulp::Scalar::new());
                 } else {

@@ -39,7 +39,7 @@ struct Lists {
 
 /// What a thread needs to make lists.
 #[derive(Default)]
-struct Room {
+struct TileScratch {
     /// Of each group, the tile it was last met in, from 1, and its place there.
     slots: Vec<(usize, u32)>,
     hidden: HiddenInGroup,
@@ -60,13 +60,13 @@ impl SharedLists {
             let classes = (variants.groups(), variants.count());
             bin::bin_by_class(&projected, &order, band, columns, settings, classes, &mut bins);
             let (bins, splats, first) = (bins.rows(), &projected.splats[..], band.start);
-            let make = |room: &mut Room, row: usize, lists: &mut Lists| {
-                room.slots.resize(variants.count(), (0, 0));
+            let make = |scratch: &mut TileScratch, row: usize, lists: &mut Lists| {
+                scratch.slots.resize(variants.count(), (0, 0));
                 for column in 0..columns {
                     let tile = (first + row) * columns + column;
                     let corner = [column * TILE, (first + row) * TILE];
                     let list = bins[row].tile(column);
-                    lists.push(tile, corner, list, (splats, variants.groups()), room, settings);
+                    lists.push(tile, corner, list, (splats, variants.groups()), scratch, settings);
                 }
             };
             parallel::for_each_with(settings.parallel, &mut rows[band.clone()], make);
@@ -117,10 +117,10 @@ impl Lists {
         corner: [usize; 2],
         list: &[u32],
         (splats, groups): (&[Splat], &[u32]),
-        room: &mut Room,
+        scratch: &mut TileScratch,
         settings: &Settings,
     ) {
-        let Room { slots, hidden } = room;
+        let TileScratch { slots, hidden } = scratch;
         let first = self.sets.len();
         hidden.open(list.len(), settings);
         for &splat in list {

@@ -28,7 +28,7 @@ use crate::{
 };
 
 #[derive(Default)]
-struct Room {
+struct TileScratch {
     culling: TileCulling,
     runs: SplatRuns,
     passes: Vec<Pass>,
@@ -55,8 +55,8 @@ trait Sink: Sync {
 }
 
 /// One tile's work, as a value, so that it can be compiled once per vector width.
-struct Walk<'a, K: Sink> {
-    room: &'a mut Room,
+struct TileJob<'a, K: Sink> {
+    scratch: &'a mut TileScratch,
     shared: &'a SharedLists,
     settings: &'a Settings,
     plan: &'a Worlds,
@@ -65,13 +65,13 @@ struct Walk<'a, K: Sink> {
     out: &'a mut K::Tile,
 }
 
-impl<K: Sink> pulp::WithSimd for Walk<'_, K> {
+impl<K: Sink> pulp::WithSimd for TileJob<'_, K> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { room, shared, settings, plan, tile, sink, out } = self;
-        let Room { culling, runs, passes, seen, tree } = room;
+        let Self { scratch, shared, settings, plan, tile, sink, out } = self;
+        let TileScratch { culling, runs, passes, seen, tree } = scratch;
         let groups = shared.groups(tile);
         passes.resize_with(plan.passes(), Pass::default);
         for (index, pass) in passes.iter_mut().enumerate() {
@@ -142,9 +142,9 @@ pub(super) fn errors(engine: &Engine, states: &States) -> Vec<f64> {
     let plan = Worlds::new(states);
     let sink = Errors(engine);
     let mut tiles: Vec<Vec<f64>> = vec![vec![]; shared.tiles()];
-    parallel::for_each_with(settings.parallel, &mut tiles, |room: &mut Room, tile, out| {
+    parallel::for_each_with(settings.parallel, &mut tiles, |scratch: &mut TileScratch, tile, out| {
         let mut sums = Sums::new();
-        let walk = Walk { room, shared, settings, plan: &plan, tile, sink: &sink, out: &mut sums };
+        let walk = TileJob { scratch, shared, settings, plan: &plan, tile, sink: &sink, out: &mut sums };
         pulp::Arch::new().dispatch(walk);
         out.resize(states.len(), 0.0);
         for (pass, (classes, squares)) in sums.iter().enumerate() {
@@ -242,11 +242,11 @@ pub(super) fn images(
     let mut views = vec![Views::default(); shared.columns];
     let mut scratch = 0;
     for row in 0..shared.tiles() / shared.columns.max(1) {
-        parallel::for_each_with(settings.parallel, &mut views, |room: &mut Room, column, out| {
+        parallel::for_each_with(settings.parallel, &mut views, |scratch: &mut TileScratch, column, out| {
             out.of.clear();
             out.pictures.clear();
             let tile = row * shared.columns + column;
-            let walk = Walk { room, shared, settings, plan: &plan, tile, sink: &sink, out };
+            let walk = TileJob { scratch, shared, settings, plan: &plan, tile, sink: &sink, out };
             pulp::Arch::new().dispatch(walk);
         });
         scratch = scratch.max(views.iter().map(Views::bytes).sum());

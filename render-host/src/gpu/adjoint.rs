@@ -13,9 +13,9 @@
 //! What is differentiated, and where gradients are 0, is as in [`crate::adjoint`]; arithmetic is f32.
 
 use self::{
+    blend_buffers::{BLEND_BACK, BlendBuffers},
     rows::{POSE_ROWS, Rows},
     structure::{CHUNK_BYTES, Chunks, Structure},
-    walk::{BLEND_BACK, Walk},
 };
 use super::{
     Device, Executor, GpuError, Scene, Tiles,
@@ -31,10 +31,10 @@ use crate::{
     image::{Image, same_size},
 };
 
+pub(super) mod blend_buffers;
 mod differentiator;
 mod rows;
 pub(super) mod structure;
-pub(super) mod walk;
 
 pub(crate) use differentiator::Differentiator;
 
@@ -89,7 +89,7 @@ pub struct Engine {
 #[derive(Debug)]
 pub struct Worlds {
     count: usize,
-    walk: Walk,
+    walk: BlendBuffers,
     blend: Blend,
     totals: Totals,
     /// Sums of the pose over every 256th Gaussian, and over those.
@@ -197,7 +197,7 @@ impl Engine {
             columns: columns as u32,
             ..self.lists.batch(states.len(), quads)
         };
-        let walk = Walk {
+        let walk = BlendBuffers {
             frame: tiles.frame.clone(),
             splats: tiles.splats.clone(),
             starts: tiles.starts.clone(),
@@ -244,7 +244,7 @@ impl Engine {
         }
         totals.record(recording);
         let [gaussians, harmonics, _] = self.scene.buffers()?;
-        let Walk { frame, splats, starts, entries, partials, .. } = walk;
+        let BlendBuffers { frame, splats, starts, entries, partials, .. } = walk;
         let ranks = &self.lists.tiles.ranks;
         let buffers = [frame, gaussians, harmonics, splats, ranks, starts, entries, partials, gradients];
         let workgroups = Workgroups::row(self.scene.len().div_ceil(WORKGROUP));

@@ -38,12 +38,12 @@ impl Device {
 
 /// A storage buffer that is replaced by a larger one when it must hold more; its content is lost.
 #[derive(Debug)]
-pub struct Growing {
+pub struct GrowableBuffer {
     what: &'static str,
     buffer: Option<wgpu::Buffer>,
 }
 
-impl Growing {
+impl GrowableBuffer {
     /// No buffer yet.
     pub fn new(what: &'static str) -> Self {
         Self { what, buffer: None }
@@ -61,10 +61,10 @@ impl Growing {
         Ok(true)
     }
 
-    /// As [`Growing::reserve`], then writes `data` to its start.
+    /// As [`GrowableBuffer::reserve`], then writes `data` to its start.
     ///
     /// # Errors
-    /// As [`Growing::reserve`].
+    /// As [`GrowableBuffer::reserve`].
     pub fn write(&mut self, device: &Device, data: &[u8]) -> Result<bool, GpuError> {
         let replaced = self.reserve(device, data.len() as u64)?;
         if let Some(buffer) = &self.buffer
@@ -75,7 +75,7 @@ impl Growing {
         Ok(replaced)
     }
 
-    /// Bytes it holds; 0 before the first [`Growing::reserve`].
+    /// Bytes it holds; 0 before the first [`GrowableBuffer::reserve`].
     pub fn bytes(&self) -> u64 {
         self.buffer.as_ref().map_or(0, wgpu::Buffer::size)
     }
@@ -83,7 +83,7 @@ impl Growing {
     /// The buffer.
     ///
     /// # Errors
-    /// [`GpuError::Refused`] before the first [`Growing::reserve`].
+    /// [`GpuError::Refused`] before the first [`GrowableBuffer::reserve`].
     pub fn get(&self) -> Result<&wgpu::Buffer, GpuError> {
         self.buffer
             .as_ref()

@@ -28,7 +28,7 @@ struct Pipeline {
 
 /// A recording with its kernels compiled and its buffers bound: ready to be submitted, any number of times.
 #[derive(Debug)]
-pub struct Bound {
+pub struct BoundRecording {
     recording: Recording,
     passes: Vec<BoundPass>,
 }
@@ -51,9 +51,9 @@ impl Executor {
     ///
     /// # Errors
     /// The device refuses a shader or a buffer.
-    pub fn bind(&self, recording: Recording) -> Result<Bound, GpuError> {
+    pub fn bind(&self, recording: Recording) -> Result<BoundRecording, GpuError> {
         let passes = self.device.guarded("bind groups", || self.bind_all(&recording))??;
-        Ok(Bound { recording, passes })
+        Ok(BoundRecording { recording, passes })
     }
 
     /// As [`Executor::bind`], unless `kept` is this very recording already bound.
@@ -63,8 +63,8 @@ impl Executor {
     pub fn bind_again<'a>(
         &self,
         recording: Recording,
-        cache: &'a mut Option<Bound>,
-    ) -> Result<&'a Bound, GpuError> {
+        cache: &'a mut Option<BoundRecording>,
+    ) -> Result<&'a BoundRecording, GpuError> {
         let bound = match cache.take() {
             Some(bound) if bound.recording == recording => bound,
             _ => self.bind(recording)?,
@@ -73,7 +73,7 @@ impl Executor {
     }
 
     /// Submits; nothing is waited for. With a clock, stages are timed.
-    pub fn submit(&self, bound: &Bound, mut clock: Option<&mut Clock>) {
+    pub fn submit(&self, bound: &BoundRecording, mut clock: Option<&mut Clock>) {
         let raw = self.device.raw();
         let mut encoder = raw.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         if let Some(clock) = &mut clock {

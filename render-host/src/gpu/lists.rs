@@ -3,7 +3,7 @@
 use wgpu::BufferUsages;
 
 use super::{
-    Device, GpuError, Growing, Scene, error,
+    Device, GpuError, GrowableBuffer, Scene, error,
     layout::{
         ARGS, ARGS_DRAWN, ARGS_SORT_DRAWN, ARGS_SORT_ENTRIES, ARGS_STRIDE, COUNT_ENTRIES, COUNT_WANTED,
         COUNTS, DIGITS, Frame, SORT_BLOCK, Splat, WORKGROUP,
@@ -116,15 +116,15 @@ struct Buffers {
     counts: wgpu::Buffer,
     args: wgpu::Buffer,
     totals: wgpu::Buffer,
-    splats: Growing,
-    touched: Growing,
+    splats: GrowableBuffer,
+    touched: GrowableBuffer,
     /// Keys and values of the depth sort, before and after a pass.
-    depth: [[Growing; 2]; 2],
-    table: Growing,
-    sums: Growing,
+    depth: [[GrowableBuffer; 2]; 2],
+    table: GrowableBuffer,
+    sums: GrowableBuffer,
     /// Tiles and splats of the entries, before and after a pass.
-    entries: [[Growing; 2]; 2],
-    starts: Growing,
+    entries: [[GrowableBuffer; 2]; 2],
+    starts: GrowableBuffer,
 }
 
 impl Buffers {
@@ -132,19 +132,19 @@ impl Buffers {
         let whole = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
         let uniform = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
         let word = 4;
-        let pair = |key, value| [Growing::new(key), Growing::new(value)];
+        let pair = |key, value| [GrowableBuffer::new(key), GrowableBuffer::new(value)];
         Ok(Self {
             frame: device.buffer("frame", size_of::<Frame>() as u64, uniform)?,
             counts: device.buffer("counts", word * u64::from(COUNTS), whole)?,
             args: device.buffer("dispatch sizes", ARGS * ARGS_STRIDE, whole | BufferUsages::INDIRECT)?,
             totals: device.buffer("digit totals", word * u64::from(DIGITS), whole)?,
-            splats: Growing::new("splats"),
-            touched: Growing::new("tiles per splat"),
+            splats: GrowableBuffer::new("splats"),
+            touched: GrowableBuffer::new("tiles per splat"),
             depth: [pair("depth keys", "depth order"), pair("depth keys", "depth order")],
-            table: Growing::new("digits per block"),
-            sums: Growing::new("entries per block"),
+            table: GrowableBuffer::new("digits per block"),
+            sums: GrowableBuffer::new("entries per block"),
             entries: [pair("entry tiles", "tile entries"), pair("entry tiles", "tile entries")],
-            starts: Growing::new("tile starts"),
+            starts: GrowableBuffer::new("tile starts"),
         })
     }
 
@@ -169,7 +169,7 @@ impl Buffers {
     fn bytes(&self) -> u64 {
         let pairs = self.depth.iter().chain(&self.entries).flatten();
         let single = [&self.splats, &self.touched, &self.table, &self.sums, &self.starts];
-        pairs.chain(single).map(Growing::bytes).sum()
+        pairs.chain(single).map(GrowableBuffer::bytes).sum()
     }
 }
 
@@ -261,7 +261,7 @@ impl Lists {
     fn record_sort(
         &self,
         recording: &mut Recording,
-        pairs: &[[Growing; 2]; 2],
+        pairs: &[[GrowableBuffer; 2]; 2],
         digit: usize,
         source: u32,
         blocks: &Workgroups,

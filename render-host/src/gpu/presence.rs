@@ -1,12 +1,12 @@
 //! Presence says on the device which worlds include which groups: a bit per group and world.
 
-use super::{Device, GpuError, Growing};
+use super::{Device, GpuError, GrowableBuffer};
 use crate::counterfactual::States;
 
 /// Which worlds hold which groups: for every group `words` words, a bit per world.
 #[derive(Debug)]
 pub struct Presence {
-    buffer: Growing,
+    buffer: GrowableBuffer,
     worlds: u32,
     groups: u32,
     words: u32,
@@ -28,7 +28,7 @@ impl Presence {
                 row[world / 32] |= u32::from(states.has(world, group)) << (world % 32);
             }
         }
-        let mut buffer = Growing::new("presence");
+        let mut buffer = GrowableBuffer::new("presence");
         buffer.reserve(device, 16)?;
         buffer.write(device, bytemuck::cast_slice(&bits))?;
         Ok(Self { buffer, worlds: states.len() as u32, groups: states.groups() as u32, words: words as u32 })

@@ -1,7 +1,7 @@
 //! The renderer draws pictures on the device: tile lists, then one blending kernel.
 
 use super::{
-    Bound, Clock, Device, Executor, GpuError, Growing, Lists, Presence, Scene, StageTime,
+    BoundRecording, Clock, Device, Executor, GpuError, GrowableBuffer, Lists, Presence, Scene, StageTime,
     layout::{
         COUNT_ABSENT, COUNT_BEHIND_NEAR, COUNT_DEGENERATE, COUNT_DRAWN, COUNT_ENTRIES, COUNT_NON_FINITE,
         COUNT_OUTSIDE, COUNT_STOPPED, COUNT_SUB_PIXEL, COUNT_TOUCHED, COUNT_TRANSPARENT, COUNTS, Frame,
@@ -50,8 +50,8 @@ const PIXEL: u64 = 16;
 pub struct Renderer {
     executor: Executor,
     lists: Lists,
-    image: Growing,
-    bound: Option<Bound>,
+    image: GrowableBuffer,
+    bound: Option<BoundRecording>,
     clock: Option<Clock>,
     background: [f32; 3],
     early_stop: bool,
@@ -66,7 +66,7 @@ impl Renderer {
         Ok(Self {
             executor: executor.clone(),
             lists: Lists::new(executor.device())?,
-            image: Growing::new("image"),
+            image: GrowableBuffer::new("image"),
             bound: None,
             clock: None,
             background: [0.0; 3],

@@ -1,6 +1,6 @@
 //! A scene holds Gaussians, their harmonics and their groups on the device.
 
-use super::{Device, GpuError, Growing, layout::GAUSSIAN_ROWS};
+use super::{Device, GpuError, GrowableBuffer, layout::GAUSSIAN_ROWS};
 use crate::{ShDegree, Splats};
 
 /// Gaussians in the order in which the device has them: a row of all Gaussians for each value, and the same
@@ -49,9 +49,9 @@ impl<'p> Packed<'p> {
 /// A scene that was uploaded once. A frame loop then uploads cameras only.
 #[derive(Debug)]
 pub struct Scene {
-    gaussians: Growing,
-    harmonics: Growing,
-    groups: Growing,
+    gaussians: GrowableBuffer,
+    harmonics: GrowableBuffer,
+    groups: GrowableBuffer,
     count: u32,
     degree: u8,
     group_count: u32,
@@ -72,9 +72,9 @@ impl Scene {
     /// The device has no room, or `groups` has another length.
     pub fn with_groups(device: &Device, splats: &Splats, groups: &[u32]) -> Result<Self, GpuError> {
         let mut out = Self {
-            gaussians: Growing::new("gaussians"),
-            harmonics: Growing::new("harmonics"),
-            groups: Growing::new("groups"),
+            gaussians: GrowableBuffer::new("gaussians"),
+            harmonics: GrowableBuffer::new("harmonics"),
+            groups: GrowableBuffer::new("groups"),
             count: 0,
             degree: 0,
             group_count: 0,

@@ -1,7 +1,7 @@
 //! Every shader is listed here; tests check each text, its structs, constants and bindings against Rust.
 
 use super::{
-    adjoint::{self, structure, walk},
+    adjoint::{self, blend_buffers, structure},
     counterfactual, lists, renderer,
     source::Source,
     states, tiles,
@@ -22,7 +22,7 @@ pub static ALL: &[&Source] = &[
     &counterfactual::FAST,
     &counterfactual::STRICT,
     &counterfactual::UTILITIES,
-    &walk::BLEND_BACK,
+    &blend_buffers::BLEND_BACK,
     &structure::FRAMEBUFFER,
     &structure::STRUCTURE,
     &adjoint::PROJECT_BACK,

@@ -26,9 +26,9 @@ pub(super) fn executor() -> Option<&'static Executor> {
 }
 
 /// Numbers from a seed (a 64-bit linear congruence; top bits).
-pub(super) struct Numbers(pub u64);
+pub(super) struct TestRng(pub u64);
 
-impl Numbers {
+impl TestRng {
     /// Uniform in 0..1.
     pub(super) fn unit(&mut self) -> f32 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -53,7 +53,7 @@ pub(super) struct TestScene {
 
 impl TestScene {
     pub(super) fn new(n: usize, degree: u8, groups: usize, [width, height]: [u32; 2], seed: u64) -> Self {
-        let mut r = Numbers(seed);
+        let mut r = TestRng(seed);
         let degree = ShDegree::new(degree).unwrap();
         let gaussians: Vec<Gaussian> = (0..n)
             .map(|_| {
@@ -90,7 +90,7 @@ impl TestScene {
 
     /// Random worlds that hold each group with probability 0.7.
     pub(super) fn states(&self, worlds: usize, seed: u64) -> States {
-        let mut r = Numbers(seed);
+        let mut r = TestRng(seed);
         let mut states = States::new(self.groups);
         (0..worlds).for_each(|_| states.push(|_| r.unit() < 0.7));
         states

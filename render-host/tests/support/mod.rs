@@ -4,9 +4,9 @@ use codec_core::{Gaussian, ShDegree};
 use render_host::{Camera, Splats};
 
 /// Numbers from a seed (a 64-bit linear congruence; top bits).
-pub struct Numbers(pub u64);
+pub struct TestRng(pub u64);
 
-impl Numbers {
+impl TestRng {
     /// Uniform in 0..1.
     pub fn unit(&mut self) -> f32 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -29,7 +29,7 @@ pub struct Scene {
 impl Scene {
     /// `n` Gaussians in [-1, 1]³ with scales of `smallest` to `largest`, evenly in their logarithm.
     pub fn random(n: usize, degree: u8, smallest: f32, largest: f32, seed: u64) -> Self {
-        let mut r = Numbers(seed);
+        let mut r = TestRng(seed);
         let degree = ShDegree::new(degree).unwrap();
         let (low, high) = (smallest.ln(), largest.ln());
         let gaussians = (0..n)

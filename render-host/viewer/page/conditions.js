@@ -7,9 +7,9 @@ export const [CONDITIONS, GRANTED] = [0x06, 0x84];
 /** Schedulers that a server can be asked for; the place is the number, the first is the server's own. */
 export const SCHEDULERS = ["", "layered", "dash", "dependency", "deadline-utility", "deadline-utility-paper"];
 
-const MOST_LOSS = 0.9;
+const MAX_LOSS = 0.9;
 const RATES = [1e3, 1e9];
-const MOST_DELAY_S = 1;
+const MAX_DELAY_S = 1;
 
 /** The fields after round and start, brought within their bounds. */
 export function conditionsBody({ anew = false, scheduler = "", rate = 0, delay = 0, loss = 0, burst = 1, seed = 1 }) {
@@ -18,8 +18,8 @@ export function conditionsBody({ anew = false, scheduler = "", rate = 0, delay =
   body.setUint8(0, anew ? 1 : 0);
   body.setUint8(1, Math.max(0, SCHEDULERS.indexOf(scheduler)));
   body.setBigUint64(2, BigInt(rate > 0 ? within(rate, ...RATES) : 0), true);
-  body.setUint32(10, within(1e6 * delay, 0, 1e6 * MOST_DELAY_S), true);
-  body.setUint16(14, within(1e4 * loss, 0, 1e4 * MOST_LOSS), true);
+  body.setUint32(10, within(1e6 * delay, 0, 1e6 * MAX_DELAY_S), true);
+  body.setUint16(14, within(1e4 * loss, 0, 1e4 * MAX_LOSS), true);
   body.setUint16(16, within(burst, 1, 1000), true);
   body.setUint32(18, seed >>> 0, true);
   return new Uint8Array(body.buffer);

@@ -18,7 +18,7 @@ const SLOW_S = 1 / 18;
 const SLOW_FRAMES = 20;
 const SMALLEST_SCALE = 0.5;
 // Frames that a device may be given before it has finished the first of them.
-const MOST_PENDING = 2;
+const MAX_PENDING = 2;
 
 /**
  * Events: `firstframe`, `frame`, `time` (the clock has moved), `step` (detail: looped, ended, waiting, whether that has
@@ -156,7 +156,7 @@ export class Engine extends EventTarget {
     // Whether or not a frame has come: the clock waits for base levels alone.
     if (session.playing) this.dispatchEvent(new Event("time"));
     const pending = this.#screen?.pending ?? 0;
-    if (pending < MOST_PENDING) this.#update(now);
+    if (pending < MAX_PENDING) this.#update(now);
     this.#keepUp(session.playing ? passed : 0);
     if (!this.#shown && this.frames > this.#framesBefore) {
       this.#shown = true;

@@ -9,9 +9,9 @@ const WAITING_PACKETS = 4096;
 // First bytes of frames.
 const [CONTROL, DATAGRAM] = [0, 1];
 // Bytes towards the server that may wait before datagrams are lost.
-const MOST_BUFFERED = 4096;
+const MAX_BUFFERED = 4096;
 // Bytes of a packet in a stream of its own.
-const MOST_PACKET = 1150;
+const MAX_PACKET = 1150;
 // Kinds of messages on the control stream that stand for datagrams.
 const [STREAMS, RECEIPT] = [0x04, 0x05];
 
@@ -89,13 +89,13 @@ async function each(stream, take) {
 
 // The packet that a stream holds; nothing of one that holds more.
 async function packetOf(stream) {
-  const packet = new Uint8Array(MOST_PACKET);
+  const packet = new Uint8Array(MAX_PACKET);
   let length = 0;
   const reader = stream.getReader();
   for (;;) {
     const { value, done } = await reader.read();
     if (done) return packet.slice(0, length);
-    if (length + value.length > MOST_PACKET) return reader.cancel();
+    if (length + value.length > MAX_PACKET) return reader.cancel();
     packet.set(value, length);
     length += value.length;
   }
@@ -146,7 +146,7 @@ export async function openWebSocket(signal) {
     media,
     write: async (bytes) => socket.send(framed(CONTROL, bytes)),
     send: async (datagram) => {
-      if (socket.bufferedAmount < MOST_BUFFERED) socket.send(framed(DATAGRAM, datagram));
+      if (socket.bufferedAmount < MAX_BUFFERED) socket.send(framed(DATAGRAM, datagram));
     },
     close,
   };

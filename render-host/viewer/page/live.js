@@ -1,13 +1,13 @@
 // A live source receives packets from `dgs serve` on a link: SESSION.md has every message.
 
 import { CONDITIONS, GRANTED, conditionsBody, granted } from "./conditions.js";
-import { MOST_WAITING, Session } from "./session.js";
+import { MAX_WAITING, Session } from "./session.js";
 
 // Kinds of messages on the control stream.
 const [HELLO, SEEK, BYE, MANIFEST, REFUSAL, BEGIN] = [0x01, 0x02, 0x03, 0x81, 0x82, 0x83];
 const MICROSECONDS = 1e6;
 // No manifest within this, milliseconds, and the next transport is tried.
-const PATIENCE_MS = 4000;
+const TIMEOUT_MS = 4000;
 // A receipt leaves with every second packet, and this long after the last at the latest, milliseconds.
 const RECEIPT_EVERY = 2;
 const RECEIPT_INTERVAL_MS = 100;
@@ -26,7 +26,7 @@ export async function receive(stream, open, { began, came, player, signal, start
   let link = null;
   const patience = new AbortController();
   const end = () => patience.abort();
-  const late = setTimeout(end, PATIENCE_MS);
+  const late = setTimeout(end, TIMEOUT_MS);
   signal.addEventListener("abort", end);
   try {
     link = await open(patience.signal);
@@ -106,7 +106,7 @@ class Rounds {
         if (done || signal.aborted || player.session !== session) return;
         clearTimeout(waiting);
         const taken = session.push(value);
-        if (session.waiting >= MOST_WAITING) await taken;
+        if (session.waiting >= MAX_WAITING) await taken;
         came();
         if (count % RECEIPT_EVERY === 0) say();
       }

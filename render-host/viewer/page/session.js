@@ -5,9 +5,9 @@ import { Decoding } from "./decoding.js";
 
 const LEVELS = 4;
 /** Packets that may wait for the decoder before whoever brings them should wait, too. */
-export const MOST_WAITING = 1024;
+export const MAX_WAITING = 1024;
 // Requests that a picture of what is wished may take.
-const MOST_ROUNDS = 8;
+const MAX_ROUNDS = 8;
 
 // What blocks can be painted by, in the decoder's order.
 export const OVERLAYS = ["none", "levels", "arrivals", "coverage"];
@@ -173,7 +173,7 @@ export class Session extends Controls {
 
   /** Lets `dt` seconds pass: see `Controls`. */
   advance(dt) {
-    return super.advance(dt, this.#state.patience, this.#state.missing);
+    return super.advance(dt, this.#state.base_timeout, this.#state.missing);
   }
 
   /** Takes a packet; the promise is kept once the decoder has it. */
@@ -340,7 +340,7 @@ export class Session extends Controls {
   /** Asks, waits and uploads until the screen has what is wished. */
   async settle(screen) {
     // A clip that plays wishes for another frame each time.
-    for (let round = 0; round < MOST_ROUNDS && !this.settled && !this.#freed && !screen.lost; round++) {
+    for (let round = 0; round < MAX_ROUNDS && !this.settled && !this.#freed && !screen.lost; round++) {
       this.update(performance.now(), screen);
       await (this.#pending ?? this.#pushing);
     }

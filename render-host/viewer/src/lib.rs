@@ -35,5 +35,5 @@ pub use orbit::{Orbit, Up};
 pub use playback::{Playback, Step};
 pub use ranges::{FIRST_BYTES, RangePlan, Wanted, message};
 #[cfg(any(target_family = "wasm", feature = "screen"))]
-pub use screen::{Drawn, Look, Screen, ScreenError};
+pub use screen::{DrawOptions, Drawn, Screen, ScreenError};
 pub use session::{BlocksByLevel, LEVEL_COLOURS, LEVELS, Overlay, Session, Shown};

@@ -114,8 +114,8 @@ impl Playback {
     }
 
     /// `dt_s` seconds have passed. `ready` says whether the base of a frame is there; the clock waits for it
-    /// up to `patience_s`.
-    pub fn advance(&mut self, dt_s: f64, patience_s: f64, ready: impl Fn(u32) -> bool) -> Step {
+    /// up to `base_timeout_s`.
+    pub fn advance(&mut self, dt_s: f64, base_timeout_s: f64, ready: impl Fn(u32) -> bool) -> Step {
         if !self.playing || !dt_s.is_finite() || dt_s <= 0.0 || self.rate == 0.0 {
             return Step::default();
         }
@@ -131,8 +131,8 @@ impl Playback {
             // Nothing of a still picture begins again.
             looped = self.frames > 1;
         }
-        let is_ready = patience_s == 0.0 || ready(self.frame_at(to));
-        if !is_ready && self.waited_s < patience_s {
+        let is_ready = base_timeout_s == 0.0 || ready(self.frame_at(to));
+        if !is_ready && self.waited_s < base_timeout_s {
             self.waited_s += dt_s;
             return Step { stalled: true, ..Step::default() };
         }
@@ -195,7 +195,7 @@ mod tests {
         assert_eq!(playback.time_s(), 0.0);
         assert!(!playback.advance(0.3, f64::INFINITY, |frame| frame <= 3).stalled);
         assert_eq!(playback.frame(), 3);
-        // And no longer than it has patience, until one comes again.
+        // And no longer than the timeout, until one comes again.
         assert!(
             playback.advance(0.3, 0.5, |_| false).stalled && playback.advance(0.3, 0.5, |_| false).stalled
         );

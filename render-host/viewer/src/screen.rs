@@ -57,7 +57,7 @@ pub enum ScreenError {
 
 /// How a frame is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
+pub struct DrawOptions {
     /// Width and height of the picture, pixels.
     pub size: [u32; 2],
     /// Width and height of what it is shown on: the picture is scaled to it.
@@ -204,7 +204,12 @@ impl Screen {
     ///
     /// # Errors
     /// A size that no picture has, or the device refuses.
-    pub fn draw(&mut self, session: &mut Session, drawn: &mut Drawn, look: &Look) -> Result<(), ScreenError> {
+    pub fn draw(
+        &mut self,
+        session: &mut Session,
+        drawn: &mut Drawn,
+        look: &DrawOptions,
+    ) -> Result<(), ScreenError> {
         let fresh = (session.content(), session.playback().frame());
         if *drawn != Some(fresh) {
             let anew = drawn.is_none();
@@ -248,7 +253,7 @@ impl Screen {
     }
 
     /// Draws what was uploaded, with room for all that earlier frames had no room for.
-    pub(crate) fn draw_uploaded(&mut self, orbit: &Orbit, look: &Look) -> Result<(), ScreenError> {
+    pub(crate) fn draw_uploaded(&mut self, orbit: &Orbit, look: &DrawOptions) -> Result<(), ScreenError> {
         let Some(scene) = &self.scene else { return Ok(()) };
         let camera = orbit.camera(look.size[0], look.size[1])?;
         self.renderer.reserve_entries(self.counts.wanted.swap(0, Ordering::Relaxed));
@@ -270,7 +275,7 @@ impl Screen {
         self.counts.wanted.load(Ordering::Relaxed) > 0
     }
 
-    fn show(&mut self, look: &Look) -> Result<(), ScreenError> {
+    fn show(&mut self, look: &DrawOptions) -> Result<(), ScreenError> {
         let shape = Shape { background: look.background, size: look.size, shown: look.shown };
         let image = self.renderer.image()?;
         match &mut self.target {

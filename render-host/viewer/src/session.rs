@@ -29,7 +29,7 @@ use crate::{
 };
 
 /// How long the clock waits for a base that a server may still send, seconds.
-const PATIENCE_S: f64 = 0.5;
+const BASE_TIMEOUT_S: f64 = 0.5;
 
 /// How many blocks of the frame are shown at what: proxies, base, refinements 1 to 3.
 pub type BlocksByLevel = [u32; LEVELS + 1];
@@ -280,17 +280,17 @@ impl Session {
     /// Lets `dt_s` seconds pass.
     pub fn advance(&mut self, dt_s: f64) -> Step {
         let (player, plan) = (&self.player, &self.plan);
-        self.playback.advance(dt_s, patience_s(plan, self.live), |frame| has_base(player, plan, frame))
+        self.playback.advance(dt_s, base_timeout_s(plan, self.live), |frame| has_base(player, plan, frame))
     }
 
     /// How long the clock waits for a base level, seconds: for ever where it is on its way.
-    pub fn patience_s(&self) -> f64 {
-        patience_s(&self.plan, self.live)
+    pub fn base_timeout_s(&self) -> f64 {
+        base_timeout_s(&self.plan, self.live)
     }
 
     /// Frames whose base the clock waits for.
     pub fn missing(&self) -> Vec<Range<u32>> {
-        if self.patience_s() == 0.0 {
+        if self.base_timeout_s() == 0.0 {
             return Vec::new();
         }
         let epochs = self.player.manifest().epochs();
@@ -447,10 +447,10 @@ impl Session {
 }
 
 /// How long a clock waits for a base level, seconds.
-fn patience_s(plan: &Option<RangePlan>, live: bool) -> f64 {
+fn base_timeout_s(plan: &Option<RangePlan>, live: bool) -> f64 {
     match plan {
         Some(_) => f64::INFINITY,
-        None if live => PATIENCE_S,
+        None if live => BASE_TIMEOUT_S,
         None => 0.0,
     }
 }

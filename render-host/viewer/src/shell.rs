@@ -13,7 +13,7 @@ use web_sys::HtmlCanvasElement;
 
 use crate::{
     ranges::{FIRST_BYTES, message},
-    screen::{Look, Screen},
+    screen::{DrawOptions, Screen},
     session::{LEVEL_COLOURS, LEVELS},
     shell::controls::Controls,
 };
@@ -89,7 +89,7 @@ impl ScreenShell {
     /// Draws what was uploaded on `width` × `height` pixels.
     pub fn draw(&mut self, controls: &Controls, width: u32, height: u32) -> Result<(), JsError> {
         let size = [width, height];
-        let look = Look { size, shown: size, background: controls.background() };
+        let look = DrawOptions { size, shown: size, background: controls.background() };
         Ok(self.0.draw_uploaded(controls.orbit(), &look)?)
     }
 

@@ -5,10 +5,10 @@ mod tests;
 
 use codec_core::internals::wire::receipt::ViewerPose;
 use dgs_player::Damage;
-use dgs_viewer::{Conditions, Drawn, Look, Screen, Session, Wanted, message};
+use dgs_viewer::{Conditions, DrawOptions, Drawn, Screen, Session, Wanted, message};
 
 use crate::{
-    Arrival, Feed, WindowError, WindowOptions, Wish,
+    Arrival, Feed, FeedRequest, WindowError, WindowOptions,
     controls::{Act, next_background},
     title::title,
 };
@@ -20,7 +20,7 @@ const SLOW_FRAMES: u32 = 20;
 const FEWER: f64 = 0.75;
 const SMALLEST_SCALE: f64 = 0.5;
 /// Frames that a device may be given before it has finished the first of them.
-const MOST_PENDING: u32 = 2;
+const MAX_PENDING: u32 = 2;
 /// How soon to look again, seconds: while a device draws, for what arrives, and at most while the clock runs.
 const DRAWING_S: f64 = 0.004;
 const ARRIVING_S: f64 = 0.02;
@@ -30,10 +30,10 @@ const HIDDEN_S: f64 = 0.25;
 /// Over how long frames are counted, seconds.
 const COUNTED_S: f64 = 0.5;
 /// Packets of others that one look takes at most, so that a flood does not stop the pictures.
-const MOST_ARRIVALS: usize = 1024;
+const MAX_ARRIVALS: usize = 1024;
 
 /// What a drawn picture depends on.
-type State = (u64, u32, [f64; 6], &'static str, Look);
+type State = (u64, u32, [f64; 6], &'static str, DrawOptions);
 
 /// The session that is shown, where its stream comes from, and what of it is on the screen.
 pub(crate) struct Engine {
@@ -41,7 +41,7 @@ pub(crate) struct Engine {
     feed: Feed,
     session: Option<Session>,
     /// The last piece of a file that was wished for.
-    wished: Option<Wish>,
+    wished: Option<FeedRequest>,
     /// The network that the server was last asked for.
     network: Option<Conditions>,
     /// Where the camera was when the server last heard of it.
@@ -100,12 +100,12 @@ impl Engine {
         let wished = act.network(before).filter(|_| session.is_live());
         if let Some(conditions) = wished {
             self.network = wished;
-            self.feed.wish(Wish::Network(conditions));
+            self.feed.wish(FeedRequest::Network(conditions));
         } else {
             act.apply(session, size)?;
         }
         if act.seeks() || wished.is_some() {
-            self.feed.wish(Wish::From(session.playback().time_s()));
+            self.feed.wish(FeedRequest::From(session.playback().time_s()));
         }
         Ok(())
     }
@@ -176,13 +176,13 @@ impl Engine {
         self.last_s = Some(now_s);
         let step = session.advance(passed);
         if step.looped {
-            self.feed.wish(Wish::From(session.playback().time_s()));
+            self.feed.wish(FeedRequest::From(session.playback().time_s()));
         }
         self.ended |= step.ended;
         // A server sends first what is seen.
         let pose = session.orbit().pose().filter(|pose| session.is_live() && self.said != Some(*pose));
         if let Some(pose) = pose {
-            self.feed.wish(Wish::Sight(pose));
+            self.feed.wish(FeedRequest::Sight(pose));
             self.said = Some(pose);
         }
         let busy = session.deliver(now_s);
@@ -208,7 +208,7 @@ impl Engine {
     fn draw(&mut self, now_s: f64, screen: &mut Screen, shown: [u32; 2]) -> Result<(), WindowError> {
         let Some(session) = &mut self.session else { return Ok(()) };
         let scaled = |side: u32| ((f64::from(side) * self.scale).round() as u32).max(1);
-        let look = Look { size: shown.map(scaled), shown, background: self.background };
+        let look = DrawOptions { size: shown.map(scaled), shown, background: self.background };
         let orbit = session.orbit();
         let (view, up) = (orbit.numbers(), orbit.up().name());
         let state = (session.content(), session.playback().frame(), view, up, look);
@@ -217,7 +217,7 @@ impl Engine {
         }
         // Since this was to be looked at: whoever is late has something to draw since then.
         let wanted_s = *self.wanted_s.get_or_insert(self.due_s.unwrap_or(now_s).min(now_s));
-        if screen.pending() >= MOST_PENDING {
+        if screen.pending() >= MAX_PENDING {
             return Ok(());
         }
         screen.draw(session, &mut self.drawn, &look)?;
@@ -249,14 +249,14 @@ impl Engine {
 
     /// Takes what has arrived, and wishes for what is wanted next.
     fn take_arrivals(&mut self, size: [u32; 2]) -> Result<(), WindowError> {
-        for _ in 0..MOST_ARRIVALS {
+        for _ in 0..MAX_ARRIVALS {
             let Some(arrival) = self.feed.next() else { break };
             self.take(arrival, size)?;
         }
         let Some(session) = &self.session else { return Ok(()) };
         let wish = match session.wanted() {
-            Wanted::Range(range) => Wish::Bytes(range),
-            Wanted::Whole => Wish::Whole,
+            Wanted::Range(range) => FeedRequest::Bytes(range),
+            Wanted::Whole => FeedRequest::Whole,
             Wanted::Nothing => return Ok(()),
         };
         if self.wished.as_ref() != Some(&wish) {

@@ -48,14 +48,14 @@ pub enum Arrival {
 
 /// What the window wishes for.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Wish {
+pub enum FeedRequest {
     /// These bytes of the file.
     Bytes(Range<u64>),
     /// The file as a whole.
     Whole,
     /// The stream from this time on, seconds.
     From(f64),
-    /// The stream through a network of these conditions, from the time of a [`Wish::From`] on.
+    /// The stream through a network of these conditions, from the time of a [`FeedRequest::From`] on.
     Network(Conditions),
     /// First of all what is seen from here.
     Sight(ViewerPose),
@@ -65,7 +65,7 @@ pub enum Wish {
 #[derive(Debug)]
 pub struct Feed {
     arrivals: Receiver<Arrival>,
-    wishes: Sender<Wish>,
+    wishes: Sender<FeedRequest>,
     open: bool,
 }
 
@@ -75,7 +75,7 @@ pub struct Feeder {
     /// Takes what has arrived.
     pub arrivals: SyncSender<Arrival>,
     /// Gives what is wished for; it ends when the window has.
-    pub wishes: Receiver<Wish>,
+    pub wishes: Receiver<FeedRequest>,
 }
 
 /// Both ends of a feed.
@@ -116,7 +116,7 @@ impl Feed {
     }
 
     /// Says what is wished for; a feeder that is gone misses nothing.
-    pub(crate) fn wish(&self, wish: Wish) {
+    pub(crate) fn wish(&self, wish: FeedRequest) {
         let _ = self.wishes.send(wish);
     }
 }

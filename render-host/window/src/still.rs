@@ -1,6 +1,6 @@
 //! Draws one frame into memory by the pass that windows show: a picture without a display.
 
-use dgs_viewer::{Look, Screen, ScreenError, Session};
+use dgs_viewer::{DrawOptions, Screen, ScreenError, Session};
 use render_host::{
     Image,
     gpu::{Device, DeviceOptions},
@@ -21,7 +21,7 @@ pub fn picture(session: &mut Session, frame: u32, options: &WindowOptions) -> Re
     options.apply(session, options.size)?;
     let now = session.playback().frame();
     session.playback_mut().step(frame.cast_signed().wrapping_sub(now.cast_signed()));
-    let look = Look { size: options.size, shown: options.size, background: options.background };
+    let look = DrawOptions { size: options.size, shown: options.size, background: options.background };
     let mut drawn = None;
     for _ in 0..TRIES {
         screen.draw(session, &mut drawn, &look)?;

@@ -100,13 +100,13 @@ impl SceneOutput {
     }
 
     /// Which way is up in it.
-    pub(in crate::command) fn usual_up(self) -> Up {
+    pub(in crate::command) fn default_up(self) -> Up {
         match self {
             Self::Folder => FileFormat::Ply,
             Self::File(format) => format,
             Self::FourDgs => return Up::Y,
         }
-        .usual_up()
+        .default_up()
     }
 
     /// What it cannot hold of Gaussians of degree `degree` that are drawn with `footprint`, for people.
@@ -187,8 +187,8 @@ mod tests {
         assert_eq!(of("a.PLY").unwrap(), SceneOutput::File(FileFormat::Ply));
         assert_eq!(of("a.compressed.ply").unwrap(), SceneOutput::File(FileFormat::CompressedPly));
         assert_eq!(of("frames").unwrap(), SceneOutput::Folder);
-        assert_eq!(of("a.spz").unwrap().usual_up(), Up::Y);
-        assert_eq!(of("a.sog").unwrap().usual_up(), Up::MinusY);
+        assert_eq!(of("a.spz").unwrap().default_up(), Up::Y);
+        assert_eq!(of("a.sog").unwrap().default_up(), Up::MinusY);
         assert!(of("a.dgs").unwrap_err().to_string().contains("dgs encode"));
         let error = of("x.obj").unwrap_err().to_string();
         assert!(error.contains("x.obj") && error.contains(".compressed.ply"), "{error}");

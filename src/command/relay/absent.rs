@@ -1,7 +1,7 @@
 //! Says that this build speaks to no relays.
 
 use anyhow::{Result, bail};
-use dgs_quic::socket::{ClientConfig, Locator, Offer, PlayError, PlayReport, Played, Screen, Trust};
+use dgs_quic::socket::{ClientConfig, Locator, PlayError, PlayReport, Played, Screen, ServedStream, Trust};
 
 use crate::{output::VerbOutput, pipeline::Quiet};
 
@@ -12,7 +12,7 @@ const MISSING: &str = "Media over QUIC is in builds with `--features moq`; this 
 pub(in crate::command) fn publish(
     relay: &Locator,
     _trust: Trust,
-    _offers: &[Offer],
+    _offers: &[ServedStream],
     _quiet: Quiet,
 ) -> Result<VerbOutput> {
     bail!("{relay}: {MISSING}")

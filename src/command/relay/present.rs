@@ -2,8 +2,8 @@
 
 use anyhow::{Context, Result};
 use dgs_quic::{
-    moq::{self, News, PublishConfig, PublishReport},
-    socket::{Locator, Offer, Trust, message::StreamChoice},
+    moq::{self, PublishConfig, PublishEvent, PublishReport},
+    socket::{Locator, ServedStream, Trust, message::StreamChoice},
 };
 use serde_json::json;
 
@@ -17,12 +17,12 @@ use crate::{
 pub(in crate::command) fn publish(
     relay: &Locator,
     trust: Trust,
-    offers: &[Offer],
+    offers: &[ServedStream],
     quiet: Quiet,
 ) -> Result<VerbOutput> {
     let urls: Vec<String> = offers.iter().map(|offer| address(relay, offer).to_string()).collect();
     let config = PublishConfig::new(relay.clone(), trust);
-    let news = |news: &News| tell(news, &urls, quiet);
+    let news = |news: &PublishEvent| tell(news, &urls, quiet);
     let published = runtime()?.block_on(moq::publish(&config, offers, interruption(), news));
     let report = published.with_context(|| relay.to_string())?;
     let json = json!({ "urls": urls, "relay": report });
@@ -30,7 +30,7 @@ pub(in crate::command) fn publish(
 }
 
 /// Where a stream is found.
-fn address(relay: &Locator, offer: &Offer) -> Locator {
+fn address(relay: &Locator, offer: &ServedStream) -> Locator {
     let stream = match &relay.stream {
         StreamChoice::Index(_) => StreamChoice::Name(offer.name().to_owned()),
         named @ StreamChoice::Name(_) => named.clone(),
@@ -39,20 +39,20 @@ fn address(relay: &Locator, offer: &Offer) -> Locator {
 }
 
 /// Says what happens, at once: whoever started this waits for it.
-fn tell(news: &News, urls: &[String], quiet: Quiet) {
+fn tell(news: &PublishEvent, urls: &[String], quiet: Quiet) {
     match news {
-        News::Connected { .. } => {
+        PublishEvent::Connected { .. } => {
             for url in urls {
                 if quiet.0 {
-                    output::complain(&format!("publishing {url}"));
+                    output::print_status(&format!("publishing {url}"));
                 } else {
                     // Where nobody reads any more, publishing goes on.
                     let _ = output::print(&format!("{url}\n"));
                 }
             }
         }
-        News::Lost { reason, pause } => {
-            output::complain(&format!("the relay is gone ({reason}); again in {} s", pause.as_secs()));
+        PublishEvent::Lost { reason, pause } => {
+            output::print_status(&format!("the relay is gone ({reason}); again in {} s", pause.as_secs()));
         }
     }
 }

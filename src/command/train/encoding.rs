@@ -3,8 +3,8 @@
 use anyhow::{Context, Result};
 use trainer_host::{
     Scene,
-    encode::{self, Decisions, EncodeError, EncodeOptions, Encoded, Protection, Quality, Target},
-    train::{self, Dataset, Posable},
+    encode::{self, Decisions, EncodeError, EncodeOptions, Encoded, Protection, QuantiserSteps, Target},
+    train::{self, Dataset, DynamicScene},
 };
 
 use super::{figures::decoded, interruption::Interruption, trained::Trained};
@@ -123,7 +123,7 @@ pub(super) fn within_loss(
         return Ok(Written::plainly(encode::encode(scene, &options, &progress).context("cannot encode")?));
     }
     let (reduced, background) = (trained.reduced, trained.options.background);
-    let psnr_db = |shown: &dyn Posable| -> Result<f64> {
+    let psnr_db = |shown: &dyn DynamicScene| -> Result<f64> {
         let found = if dataset.validation.is_empty() {
             train::evaluate(shown, &dataset.train.sample(VIEWS), reduced, background)
         } else {
@@ -136,7 +136,7 @@ pub(super) fn within_loss(
         let encoded = match decisions {
             Some(decisions) => encode::again(scene, decisions, coarseness as f32, &options, &progress),
             None => {
-                let quality = Quality::default().scaled(coarseness as f32);
+                let quality = QuantiserSteps::default().scaled(coarseness as f32);
                 encode::encode(scene, &EncodeOptions { quality, ..options.clone() }, &progress)
             }
         };
@@ -175,7 +175,7 @@ fn to_size(
     options: &EncodeOptions,
     progress: encode::Progress<'_>,
 ) -> Result<Written> {
-    let error = match encode::again_to_size(scene, decisions, options, progress) {
+    let error = match encode::reencode_to_size(scene, decisions, options, progress) {
         Ok(encoded) => return Ok(Written::plainly(encoded)),
         Err(error) => error,
     };

@@ -12,7 +12,7 @@ use trainer_host::{
     train::{
         Dataset,
         dataset::rendered,
-        epochs::{PartOptions, Parts, part},
+        epochs::{Parts, SplitOptions, part},
     },
 };
 
@@ -71,7 +71,7 @@ impl Plan {
             scene,
             dataset,
             &options(args)?,
-            PartOptions { gain_db: args.split, ..PartOptions::default() },
+            SplitOptions { gain_db: args.split, ..SplitOptions::default() },
             &mut |trial| {
                 stop.leave("nothing was written");
                 bar.stage(&format!("trial {trial} of where the clip changes"), 0.0);

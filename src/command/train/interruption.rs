@@ -12,7 +12,7 @@ use std::{
 use crate::command::interruption::leave;
 
 /// How soon it is noticed that a person asks to stop where work does not look.
-const NOTICE: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Whether a person has asked to stop.
 #[derive(Clone, Debug, Default)]
@@ -44,7 +44,7 @@ impl Interruption {
         let watch = move || {
             loop {
                 interruption.leave(what_is_left);
-                thread::sleep(NOTICE);
+                thread::sleep(POLL_INTERVAL);
             }
         };
         // Without a thread, asking twice still ends it.

@@ -7,7 +7,7 @@ use codec_core::Footprint;
 use trainer_host::{
     Instant, Scene,
     encode::Decisions,
-    train::{Dataset, Model, Posable, Pruning, TrainOptions, Trainer},
+    train::{Dataset, DynamicScene, Model, Pruning, TrainOptions, Trainer},
 };
 
 use crate::args::train::Train;
@@ -85,12 +85,12 @@ impl Trained {
     }
 
     /// The scene as the training went on with it.
-    pub(super) fn exact(&self) -> impl Posable {
+    pub(super) fn exact(&self) -> impl DynamicScene {
         self.one_after_another(0)
     }
 
     /// The scene as a receiver has it, but for what is lost of its motion.
-    pub(super) fn shown(&self) -> impl Posable {
+    pub(super) fn shown(&self) -> impl DynamicScene {
         self.one_after_another(1)
     }
 
@@ -107,7 +107,7 @@ impl Trained {
 /// Models and the frames that each is shown in.
 struct OneAfterAnother<'a>(Vec<(Range<usize>, &'a Model)>);
 
-impl Posable for OneAfterAnother<'_> {
+impl DynamicScene for OneAfterAnother<'_> {
     fn pose(&self, time: f32, out: &mut Instant) {
         if let [(_, model)] = self.0[..] {
             return model.pose(time, out);

@@ -65,12 +65,12 @@ pub(super) fn begin<'d>(
     }
     let options = options(args)?;
     let posed = options.max_gaussians.saturating_mul(dataset.frames);
-    if posed > Checkpoint::MOST_POSED {
+    if posed > Checkpoint::MAX_POSED {
         bail!(
             "--gaussians is {} over {} frames; up to {} in all frames together are allowed",
             options.max_gaussians,
             dataset.frames,
-            Checkpoint::MOST_POSED
+            Checkpoint::MAX_POSED
         );
     }
     let trainer = Trainer::new(dataset, &options)?.on(backend)?;
@@ -208,7 +208,7 @@ pub(super) fn fit(
             None => (f64::from(report.step) / steps).max(begun),
             Some(minutes) => begun + (1.0 - begun) * (seconds / (60.0 * minutes * (1.0 - begun).max(1e-9))),
         };
-        if let Some(what) = &report.retreat {
+        if let Some(what) = &report.rollback {
             let note = format!("step {}: {what}; fell back, with half the rates", report.step);
             if !quiet.0 {
                 bar.say(&format!("warning: {note}"));

@@ -9,7 +9,7 @@ use serde_json::json;
 use trainer_host::scene::Up;
 
 use super::{
-    arriving::{Arriving, is_address},
+    loader::{StreamLoader, is_address},
     opened::opened,
 };
 use crate::{
@@ -26,19 +26,19 @@ pub(super) fn window(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     let mut damaged = false;
     let (feed, up, arriving) = if is_address(input) {
-        let (arriving, feed) = Arriving::begin(input)?;
+        let (arriving, feed) = StreamLoader::begin(input)?;
         (feed, args.scene.up.map(Up::from), Some(arriving))
     } else {
-        let mut say = |warning: String| output::complain(&format!("warning: {warning}"));
+        let mut say = |warning: String| output::print_status(&format!("warning: {warning}"));
         let opened = opened(input, args, quiet, &mut say)?;
         damaged = opened.damaged;
         (Feed::file(opened.bytes), opened.up, None)
     };
     if !quiet.0 {
-        output::complain("? in the window lists its keys; closing it ends");
+        output::print_status("? in the window lists its keys; closing it ends");
     }
     let mut say = |sentence: &str| {
-        output::complain(sentence);
+        output::print_status(sentence);
         warnings.push(sentence.to_owned());
     };
     let shown = run(options(args, input, up)?, feed, &mut say);

@@ -35,7 +35,7 @@ const FLAGS: [&str; 13] = [
     "--force-device-scale-factor=1",
 ];
 /// Longest wait for one answer.
-const PATIENCE: Duration = Duration::from_secs(300);
+const TIMEOUT: Duration = Duration::from_secs(300);
 
 /// A browser with one page. It ends when this is dropped.
 pub struct Browser {
@@ -220,9 +220,9 @@ impl Browser {
         bytes.push(0);
         self.orders.write_all(&bytes).context("the browser is gone")?;
         loop {
-            let answer: Value = match self.answers.recv_timeout(PATIENCE) {
+            let answer: Value = match self.answers.recv_timeout(TIMEOUT) {
                 Ok(message) => serde_json::from_slice(&message).context("the browser's answer")?,
-                Err(RecvTimeoutError::Timeout) => bail!("{method}: no answer in {PATIENCE:?}"),
+                Err(RecvTimeoutError::Timeout) => bail!("{method}: no answer in {TIMEOUT:?}"),
                 Err(RecvTimeoutError::Disconnected) => bail!("{method}: the browser is gone"),
             };
             if answer["id"] != self.last {

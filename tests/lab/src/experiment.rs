@@ -194,7 +194,7 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "structure",
-        about: "the source itself: lines per floor, public items, circles between files, crates, lengths of \
+        about: "the source itself: lines per floor, public items, cycles between files, crates, lengths of \
             examples",
         run: structure::run,
     },

@@ -13,7 +13,7 @@ use codec_core::{
         digest::Digest,
         rans::{lanes, table::Table},
         receiver::{Cell, Requirements},
-        wire::manifest::Sealed,
+        wire::manifest::ManifestHead,
     },
     player::{Counters, Waiting},
 };
@@ -119,7 +119,7 @@ impl Fixture {
             packet_bytes: 600,
             ..EncodeOptions::default()
         };
-        Self::of(encode::encode(&scene, &options, &trainer_host::encode::unheard)?.stream)
+        Self::of(encode::encode(&scene, &options, &trainer_host::encode::no_progress)?.stream)
     }
 
     /// The fixture of `stream`.
@@ -207,7 +207,7 @@ impl Fixture {
         let manifest = self.stream.manifest()?;
         let Requirements { cells, symbols, blocks, seen, least_slots, progress, parity, .. } =
             Requirements::of(&manifest, &Caps::HOST)?;
-        let raw = Sealed::parse(self.message())?.raw_len;
+        let raw = ManifestHead::parse(self.message())?.raw_len;
         let gaussians = manifest.epochs().map(|e| e.gaussians as usize).max().unwrap_or(0);
         let sh_rest = gaussians * manifest.sh_degree().rest_len();
         Ok([
@@ -370,7 +370,7 @@ mod tests {
         let stream = encode::encode(
             &scene,
             &EncodeOptions { repair: Protection::NONE, ..EncodeOptions::default() },
-            &trainer_host::encode::unheard,
+            &trainer_host::encode::no_progress,
         )
         .unwrap()
         .stream;

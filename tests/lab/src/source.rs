@@ -1,4 +1,4 @@
-//! Reads the source tree as text and syntax: lines, public items, circles between files.
+//! Reads the source tree as text and syntax: lines, public items, cycles between files.
 //!
 //! `tests/architecture.rs` holds the tree to rules with it, and bench `structure` prints what it counts.
 
@@ -9,13 +9,13 @@ use std::{
 
 use syn::{Item, Visibility};
 
-#[path = "source/circles.rs"]
-mod circles;
+#[path = "source/cycles.rs"]
+mod cycles;
 #[path = "source/imports.rs"]
 mod imports;
 
 use self::imports::leaves;
-pub use self::{circles::circles, imports::imports};
+pub use self::{cycles::cycles, imports::imports};
 
 /// Made on the spot and ignored by git.
 const IGNORED: [&str; 4] = [".git", "target", "dgs-demo", ".dgs-out"];
@@ -93,7 +93,7 @@ pub fn outside_tests(text: &str) -> &str {
 
 /// Where a line of Rust belongs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Floor {
+pub enum CodeKind {
     /// What is shipped.
     Product,
     /// What measures: package `dgs-lab`.
@@ -103,7 +103,7 @@ pub enum Floor {
 }
 
 /// Lines of Rust per floor that are neither blank nor comment.
-pub fn lines(tree: &Tree) -> BTreeMap<Floor, usize> {
+pub fn lines(tree: &Tree) -> BTreeMap<CodeKind, usize> {
     let code = |text: &str| {
         text.lines().filter(|line| !line.trim().is_empty() && !line.trim_start().starts_with("//")).count()
     };
@@ -113,13 +113,13 @@ pub fn lines(tree: &Tree) -> BTreeMap<Floor, usize> {
         let tests = !laboratory
             && (path.starts_with("tests/") || path.contains("/tests/") || path.ends_with("/tests.rs"));
         let floor = match (laboratory, tests || path.starts_with("fuzz/")) {
-            (true, _) => Floor::Laboratory,
-            (_, true) => Floor::Tests,
-            _ => Floor::Product,
+            (true, _) => CodeKind::Laboratory,
+            (_, true) => CodeKind::Tests,
+            _ => CodeKind::Product,
         };
         let outside = code(outside_tests(text));
         *counted.entry(floor).or_default() += outside;
-        *counted.entry(Floor::Tests).or_default() += code(text) - outside;
+        *counted.entry(CodeKind::Tests).or_default() += code(text) - outside;
     }
     counted
 }
@@ -243,8 +243,8 @@ mod tests {
             ("tests/cli.rs", "fn f() {}\n"),
             ("fuzz/src/lib.rs", "fn f() {}\nfn g() {}\n"),
         ]));
-        assert_eq!(counted[&Floor::Product], 1);
-        assert_eq!(counted[&Floor::Laboratory], 1);
-        assert_eq!(counted[&Floor::Tests], 5);
+        assert_eq!(counted[&CodeKind::Product], 1);
+        assert_eq!(counted[&CodeKind::Laboratory], 1);
+        assert_eq!(counted[&CodeKind::Tests], 5);
     }
 }

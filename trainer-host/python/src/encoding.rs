@@ -7,7 +7,7 @@ use pyo3::{
     types::{PyBytes, PyDict},
 };
 use serde_json::json;
-use trainer_host::encode::{EncodeOptions, Protection, Quality, Target};
+use trainer_host::encode::{EncodeOptions, Protection, QuantiserSteps, Target};
 
 use crate::{
     error::{of_file, refused, whole},
@@ -118,7 +118,7 @@ pub fn encode(
         block_len: whole("block_len", block_len)?,
         window_frames: window_frames.map(|frames| whole("window_frames", frames)).transpose()?,
         rank: rank.map_or(Ok(base.rank), |rank| whole("rank", rank))?,
-        quality: Quality::default().scaled(coarseness),
+        quality: QuantiserSteps::default().scaled(coarseness),
         target: target(target_bits_per_gaussian, target_bytes, target_psnr)?,
         pictures: whole("pictures", pictures)?,
         search: whole("search", search)?,

@@ -105,7 +105,7 @@ fn decode(path: &Path) -> PyResult<(trainer_host::Scene, Option<String>)> {
 
 /// `scene` turned so that up is where it usually is in `format`.
 fn turned(scene: &trainer_host::Scene, format: FileFormat) -> PyResult<Option<trainer_host::Scene>> {
-    let (from, to) = (scene.up, format.usual_up());
+    let (from, to) = (scene.up, format.default_up());
     if from == to {
         return Ok(None);
     }
@@ -138,7 +138,8 @@ fn write_folder(scene: &trainer_host::Scene, path: &Path) -> PyResult<()> {
 /// Writes `scene` as the ending of `path` says.
 pub fn save(scene: &trainer_host::Scene, path: &Path, frame: i64, keep_axes: bool) -> PyResult<()> {
     if is_stream(path) {
-        let encoded = encode::encode(scene, &EncodeOptions::default(), &encode::unheard).map_err(refused)?;
+        let encoded =
+            encode::encode(scene, &EncodeOptions::default(), &encode::no_progress).map_err(refused)?;
         let bytes = encoded.stream.to_bytes().map_err(refused)?;
         return std::fs::write(path, bytes).map_err(|error| of_file(path, &error));
     }
@@ -214,7 +215,7 @@ impl Scene {
             ..ImportOptions::default()
         };
         let mut scene = py.detach(|| import::import(&path, &options)).map_err(|error| unreadable(&error))?;
-        scene.up = up.or(scene.usual_up).unwrap_or_default();
+        scene.up = up.or(scene.default_up).unwrap_or_default();
         Ok(Self(scene))
     }
 
@@ -358,7 +359,7 @@ impl Scene {
         let wrong = || refused(format!("count is {count}; 1 to {MAX_CAMERAS} cameras are allowed"));
         let count = found.ok_or_else(wrong)?;
         let (width, height) = (whole("width", width)?, whole("height", height)?);
-        let ring = if held_out { Ring::HeldOut } else { Ring::Measuring };
+        let ring = if held_out { Ring::HeldOut } else { Ring::Validation };
         let cameras = Framing::of(&self.0).ring(ring, count, (width, height)).map_err(refused)?;
         Ok(cameras.into_iter().map(Camera).collect())
     }

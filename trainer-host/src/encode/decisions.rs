@@ -15,7 +15,7 @@ use codec_core::internals::{
 };
 use serde::{Deserialize, Serialize};
 
-use super::{EncodeError, Protection, Quality, cluster};
+use super::{EncodeError, Protection, QuantiserSteps, cluster};
 
 /// Everything that was chosen for one stream.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -29,7 +29,7 @@ pub enum Decisions {
 
 impl Decisions {
     /// What the choices were made from.
-    pub const fn made_from(&self) -> &MadeFrom {
+    pub const fn made_from(&self) -> &DecisionInputs {
         match self {
             Self::Dgs1(decisions) => &decisions.made_from,
             Self::Paper(decisions) => &decisions.made_from,
@@ -58,9 +58,9 @@ impl Decisions {
 /// What choices were made from. A record: writing does not read it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct MadeFrom {
+pub struct DecisionInputs {
     /// Steps before quantiser classes scale them.
-    pub quality: Quality,
+    pub quality: QuantiserSteps,
     /// Gaussians that share steps, the most sensitive first (`dgs1`; empty in `paper`).
     pub quantiser_classes: Vec<QuantiserClass>,
     /// How Gaussians were clustered.
@@ -73,7 +73,7 @@ pub struct QuantiserClass {
     /// How many of the scene's, over all epochs.
     pub gaussians: u64,
     /// Their steps.
-    pub quality: Quality,
+    pub quality: QuantiserSteps,
 }
 
 /// What was chosen for a stream of profile `dgs1`.
@@ -81,7 +81,7 @@ pub struct QuantiserClass {
 #[serde(deny_unknown_fields)]
 pub struct Dgs1Decisions {
     /// What the choices were made from.
-    pub made_from: MadeFrom,
+    pub made_from: DecisionInputs,
     /// Gaussians per block, 1..=256.
     pub block_len: usize,
     /// Where packets are cut: the most bytes of one, header and CRC included, 200..=1226.
@@ -260,7 +260,7 @@ pub struct TableSetEntry {
 #[serde(deny_unknown_fields)]
 pub struct PaperDecisions {
     /// What the choices were made from.
-    pub made_from: MadeFrom,
+    pub made_from: DecisionInputs,
     /// Parity per kind of packets.
     pub repair: Protection,
     /// Whether probabilities follow the symbols of a chunk, in place of tables in the manifest.

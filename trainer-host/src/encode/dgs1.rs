@@ -24,7 +24,7 @@ use super::{
     EncodeError, EncodeOptions, Progress,
     analysis::Analysis,
     cluster,
-    decisions::{CanonicalRotation, Dgs1Decisions, EpochDecisions, MadeFrom, Quantisers, digits},
+    decisions::{CanonicalRotation, DecisionInputs, Dgs1Decisions, EpochDecisions, Quantisers, digits},
     packetise::CellSymbols,
     progress::report,
     quantiser_class::EpochClasses,
@@ -55,7 +55,7 @@ pub(super) fn decide(
         epochs.push(decide_epoch(&epoch, rotation, clusters, classes, scene, options)?);
     }
     let mut decisions = Dgs1Decisions {
-        made_from: MadeFrom {
+        made_from: DecisionInputs {
             quality: options.quality,
             quantiser_classes: analysis.classes.shares(&options.quality),
             clustering: options.cluster,

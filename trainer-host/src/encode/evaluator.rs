@@ -1,4 +1,4 @@
-//! Evaluates how close a decoded state is to its source, in pictures from measuring cameras.
+//! Evaluates how close a decoded state is to its source, in pictures from validation cameras.
 
 use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
@@ -23,9 +23,9 @@ pub use segments::{Point, Segment, segments};
 /// PSNR counts up to this, dB: beyond it images are equal to the eye and to 8 bits.
 pub const PSNR_CAP_DB: f64 = 99.0;
 
-/// Width and height of the pictures of [`Evaluator::measuring`], pixels.
+/// Width and height of the pictures of [`Evaluator::validation`], pixels.
 const SIZE: (u32, u32) = (256, 256);
-/// Cameras of [`Evaluator::measuring`].
+/// Cameras of [`Evaluator::validation`].
 const CAMERAS: usize = 3;
 
 /// Why a state cannot be evaluated.
@@ -43,7 +43,7 @@ pub enum EvaluationError {
     #[error("cannot evaluate a stream that does not decode: {0}")]
     Decode(#[from] codec_core::Error),
     /// No such camera.
-    #[error("cannot place a measuring camera: {0}")]
+    #[error("cannot place a validation camera: {0}")]
     Camera(#[from] CameraError),
     /// Gaussians that cannot be rendered.
     #[error("cannot render the Gaussians: {0}")]
@@ -96,8 +96,8 @@ pub(super) fn instant_at(scene: &Scene, frame: u32) -> Result<Instant, Evaluatio
 /// let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..Default::default() };
 /// let scene = synth::make(&options, &Limits::default())?;
 /// let options = EncodeOptions { pictures: 0, ..Default::default() };
-/// let encoded = encode(&scene, &options, &trainer_host::encode::unheard)?;
-/// let evaluator = Evaluator::measuring(&scene, spread(0, 2, 1))?;
+/// let encoded = encode(&scene, &options, &trainer_host::encode::no_progress)?;
+/// let evaluator = Evaluator::validation(&scene, spread(0, 2, 1))?;
 /// assert!(evaluator.whole(&encoded.stream)? > 30.0, "dB");
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -136,21 +136,25 @@ impl Evaluator {
         Ok(Self { references: references?, cameras, frames, settings, backend: backend.clone() })
     }
 
-    /// An evaluator that renders `frames` from the measuring ring, never from held-out cameras.
+    /// An evaluator that renders `frames` from the validation ring, never from held-out cameras.
     ///
     /// # Errors
     /// As [`Evaluator::new`].
-    pub fn measuring(scene: &Scene, frames: Vec<u32>) -> Result<Self, EvaluationError> {
-        Self::measuring_on(scene, frames, &Backend::Cpu)
+    pub fn validation(scene: &Scene, frames: Vec<u32>) -> Result<Self, EvaluationError> {
+        Self::validation_on(scene, frames, &Backend::Cpu)
     }
 
-    /// As [`Evaluator::measuring`], with pictures drawn by `backend`.
+    /// As [`Evaluator::validation`], with pictures drawn by `backend`.
     ///
     /// # Errors
     /// As [`Evaluator::new`].
-    pub fn measuring_on(scene: &Scene, frames: Vec<u32>, backend: &Backend) -> Result<Self, EvaluationError> {
+    pub fn validation_on(
+        scene: &Scene,
+        frames: Vec<u32>,
+        backend: &Backend,
+    ) -> Result<Self, EvaluationError> {
         let framing = Framing::of(scene);
-        let cameras = framing.ring(Ring::Measuring, CAMERAS, SIZE)?;
+        let cameras = framing.ring(Ring::Validation, CAMERAS, SIZE)?;
         Self::new(scene, cameras, frames, &Settings::default(), backend)
     }
 
@@ -235,7 +239,7 @@ pub fn spread(first: u32, frames: u32, count: u32) -> Vec<u32> {
 mod tests {
     use super::*;
     use crate::{
-        encode::{EncodeOptions, Quality, encode},
+        encode::{EncodeOptions, QuantiserSteps, encode},
         import::{
             Limits,
             synth::{self, SynthKind},
@@ -254,11 +258,13 @@ mod tests {
         let options =
             synth::SynthOptions { gaussians: 1000, frames: 6, kind: SynthKind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
-        let evaluator = Evaluator::measuring(&scene, spread(0, 6, 2)).unwrap();
+        let evaluator = Evaluator::validation(&scene, spread(0, 6, 2)).unwrap();
         let stream = |factor: f32| {
-            let options =
-                EncodeOptions { quality: Quality::default().scaled(factor), ..EncodeOptions::default() };
-            encode(&scene, &options, &crate::encode::unheard).unwrap().stream
+            let options = EncodeOptions {
+                quality: QuantiserSteps::default().scaled(factor),
+                ..EncodeOptions::default()
+            };
+            encode(&scene, &options, &crate::encode::no_progress).unwrap().stream
         };
         let (fine, coarse) = (stream(1.0), stream(8.0));
         let found = evaluator.whole(&fine).unwrap();
@@ -267,6 +273,6 @@ mod tests {
         let content = received.content();
         let base: Vec<u8> = content.blocks.iter().map(|m| m & 1).collect();
         assert!(evaluator.psnr(&content, &base).unwrap().iter().all(|&db| db < found - 3.0));
-        assert!(Evaluator::measuring(&scene, vec![6]).is_err());
+        assert!(Evaluator::validation(&scene, vec![6]).is_err());
     }
 }

@@ -178,7 +178,7 @@ mod tests {
             let scene = synth::make(&options, &Limits::default()).unwrap();
             let repaired = EncodeOptions { repair: Protection::xor(4), ..EncodeOptions::default() };
             for options in [repaired, EncodeOptions::default(), EncodeOptions::paper()] {
-                let encoded = encode(&scene, &options, &crate::encode::unheard).unwrap();
+                let encoded = encode(&scene, &options, &crate::encode::no_progress).unwrap();
                 let (sent, ledger) = (encoded.stream.wire_bytes(), &encoded.report.ledger);
                 assert_eq!(ledger.wire(), sent as f64);
                 let parts = ledger.parts();

@@ -5,16 +5,16 @@ use codec_core::internals::{limits, wire::manifest::Profile};
 use render_host::{Backend, Camera, DeviceChoice};
 
 use super::{
-    EncodeError, Protection, Quality, cluster,
+    EncodeError, Protection, QuantiserSteps, cluster,
     evaluator::{EvaluationError, PSNR_CAP_DB},
-    sensitivity::MOST_PICTURES,
+    sensitivity::MAX_PICTURES,
 };
 
 /// Range of steps and of factors on features: far beyond what can be of use, and no sum of them overflows.
 const NUMBERS: (f64, f64) = (1e-9, 1e9);
 
 /// Most encodings that a search may be asked for.
-const MOST_TRIALS: usize = 500;
+const MAX_TRIALS: usize = 500;
 
 /// What an encoding must meet.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -23,7 +23,7 @@ pub enum Target {
     BitsPerGaussian(f64),
     /// At most this many bytes on the wire: manifest, packets and parity, at least 1.
     Bytes(u64),
-    /// At least this PSNR in dB, above 0 and at most 99: mean over measuring cameras and frames spread
+    /// At least this PSNR in dB, above 0 and at most 99: mean over validation cameras and frames spread
     /// over the clip.
     PsnrDb(f64),
 }
@@ -78,7 +78,7 @@ pub struct TargetViews {
 /// let scene = synth::make(&options, &Limits::default())?;
 /// let target = Some(Target::Bytes(20_000));
 /// let options = EncodeOptions { target, pictures: 0, ..EncodeOptions::default() };
-/// let encoded = encode(&scene, &options, &trainer_host::encode::unheard)?;
+/// let encoded = encode(&scene, &options, &trainer_host::encode::no_progress)?;
 /// assert!(encoded.report.ledger.wire() <= 20_000.0);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -95,13 +95,13 @@ pub struct EncodeOptions {
     /// Most vectors in the shared temporal basis.
     pub rank: usize,
     /// Fineness of the quantisers.
-    pub quality: Quality,
+    pub quality: QuantiserSteps,
     /// Pictures per epoch that tell how errors in each Gaussian show, 0 to 1024: steps follow (`dgs1`).
     /// 0 is the steps of `quality` for all.
     pub pictures: usize,
     /// Scale `quality` until the stream meets this.
     pub target: Option<Target>,
-    /// Where a target PSNR is measured; by default from measuring cameras, over black.
+    /// Where a target PSNR is measured; by default from validation cameras, over black.
     pub target_views: Option<TargetViews>,
     /// Most encodings spent on how attributes share the bits, 0 (none) to 500.
     pub search: usize,
@@ -130,7 +130,7 @@ impl Default for EncodeOptions {
             block_len: 64,
             window_frames: None,
             rank: 8,
-            quality: Quality::default(),
+            quality: QuantiserSteps::default(),
             pictures: 16,
             target: None,
             target_views: None,
@@ -172,12 +172,12 @@ impl EncodeOptions {
         within("block_len", self.block_len, 1, limits::MAX_BLOCK_LEN)?;
         within("window_frames", self.window_frames.unwrap_or(1), 1, limits::MAX_WINDOW_FRAMES)?;
         within("rank", self.rank, 0, limits::MAX_RANK)?;
-        within("pictures", self.pictures, 0, MOST_PICTURES)?;
-        within("search", self.search, 0, MOST_TRIALS)?;
+        within("pictures", self.pictures, 0, MAX_PICTURES)?;
+        within("search", self.search, 0, MAX_TRIALS)?;
         within("table_choices", self.table_choices, 1, limits::MAX_TABLE_SET)?;
         within("packet_bytes", self.packet_bytes, 200, 1226)?;
         within("cluster.max_gaussians", self.cluster.max_gaussians, 1, limits::MAX_CLUSTER_LEN)?;
-        let Quality { position, scale, rotation, opacity, sh0, sh_rest, motion } = self.quality;
+        let QuantiserSteps { position, scale, rotation, opacity, sh0, sh_rest, motion } = self.quality;
         number("quality.position", position.into(), NUMBERS)?;
         number("quality.scale", scale.into(), NUMBERS)?;
         number("quality.rotation", rotation.into(), NUMBERS)?;

@@ -94,7 +94,7 @@ mod tests {
         };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let report = |options: &EncodeOptions| {
-            let encoded = encode(&scene, options, &crate::encode::unheard).unwrap();
+            let encoded = encode(&scene, options, &crate::encode::no_progress).unwrap();
             let longest = encoded.stream.packets().iter().map(Vec::len).max().unwrap();
             let report = encoded.packet_report().unwrap();
             assert!(report.mean_packet_bytes <= longest as f64, "{report:?}");

@@ -21,7 +21,7 @@ use self::{
 };
 use super::{
     Analysis, EncodeError, EncodeOptions, Encoded, Ledger, Progress, Report,
-    decisions::{Decisions, MadeFrom, PaperDecisions, PaperEpochDecisions, Quantisers},
+    decisions::{DecisionInputs, Decisions, PaperDecisions, PaperEpochDecisions, Quantisers},
     ledger::{Section, manifest_parts},
     packetise::packet_id,
     parity,
@@ -51,8 +51,11 @@ pub(super) fn decide(
             clusters: clusters.clone(),
         });
     }
-    let made_from =
-        MadeFrom { quality: options.quality, quantiser_classes: Vec::new(), clustering: options.cluster };
+    let made_from = DecisionInputs {
+        quality: options.quality,
+        quantiser_classes: Vec::new(),
+        clustering: options.cluster,
+    };
     Ok(PaperDecisions { made_from, repair: options.repair, context_coder: options.context_coder, epochs })
 }
 

@@ -94,7 +94,7 @@ pub fn again(
 /// What a manifest holds of frame rates, which are frames per 1000 seconds where they are no whole numbers.
 const FRAME_RATE: (f64, f64) = (0.001, 1e6);
 /// Largest magnitude of a coordinate that a manifest holds, scene units.
-const MOST_AWAY: f32 = 1e9;
+const MAX_AWAY: f32 = 1e9;
 
 /// Refuses a scene that is empty or beyond the bounds of the format.
 pub(super) fn check_scene(scene: &Scene) -> Result<(), EncodeError> {
@@ -121,14 +121,14 @@ fn check_positions(scene: &Scene) -> Result<(), EncodeError> {
         let positions = match &epoch.attributes().positions {
             Track::Constant(positions) | Track::PerFrame(positions) => positions,
         };
-        let is_far = |position: &[f32; 3]| position.iter().any(|v| v.abs() > MOST_AWAY);
+        let is_far = |position: &[f32; 3]| position.iter().any(|v| v.abs() > MAX_AWAY);
         if let Some(at) = positions.iter().position(is_far) {
             return Err(EncodeError::Position {
                 epoch: index,
                 gaussian: at % epoch.count(),
                 frame: first_frame + at / epoch.count(),
                 position: positions[at],
-                most: MOST_AWAY,
+                most: MAX_AWAY,
             });
         }
         first_frame += epoch.frames();
@@ -141,7 +141,7 @@ mod tests {
     use super::*;
     use crate::{
         Attributes, Epoch,
-        encode::{EncodeOptions, encode, unheard},
+        encode::{EncodeOptions, encode, no_progress},
     };
 
     /// Gaussians at these places, `frames` of them one after the other.
@@ -162,7 +162,7 @@ mod tests {
     #[test]
     fn scenes_that_are_empty_or_too_far_away_are_refused_by_name() {
         let options = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
-        let said = |scene| encode(&scene, &options, &unheard).unwrap_err().to_string();
+        let said = |scene| encode(&scene, &options, &no_progress).unwrap_err().to_string();
         let error = said(scene(1, Vec::new()));
         assert_eq!(error, "the scene's list of Gaussians is empty; at least one is needed");
         let mut positions = vec![[0.0; 3]; 6];
@@ -179,6 +179,6 @@ mod tests {
             let words = "0.001 to 1000000 frames per second are allowed";
             assert_eq!(error, format!("the scene's frame rate is {rate}; {words}"));
         }
-        encode(&scene(1, vec![[1e9, -1e9, 0.0]; 3]), &options, &unheard).unwrap();
+        encode(&scene(1, vec![[1e9, -1e9, 0.0]; 3]), &options, &no_progress).unwrap();
     }
 }

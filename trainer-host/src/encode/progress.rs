@@ -9,7 +9,7 @@ use super::EncodeError;
 pub type Progress<'p> = &'p (dyn Fn(&'static str, f64) -> ControlFlow<()> + Sync);
 
 /// For callers that want neither to hear nor to stop.
-pub fn unheard(_stage: &'static str, _share: f64) -> ControlFlow<()> {
+pub fn no_progress(_stage: &'static str, _share: f64) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 

@@ -15,7 +15,7 @@ mod step_refinement;
 pub(super) use epoch_classes::EpochClasses;
 
 use super::{
-    EncodeError, EncodeOptions, Quality, cluster,
+    EncodeError, EncodeOptions, QuantiserSteps, cluster,
     decisions::QuantiserClass,
     sensitivity::{self, CLASSES, Weights},
     steps::{DGS1_MOST_RATIO, Factors, Grid},
@@ -40,9 +40,9 @@ pub const MOST: usize = 6;
 const FLOOR: f64 = 0.01;
 /// Bits that one more class must save: per Gaussian, and for its quantisers and clusters that are not
 /// full.
-const LEAST_GAIN: (f64, f64) = (0.5, 2000.0);
+const MIN_GAIN: (f64, f64) = (0.5, 2000.0);
 /// Factors stay within this and its inverse.
-const MOST_FACTOR: f32 = 16.0;
+const MAX_FACTOR: f32 = 16.0;
 /// Bins of the histogram of sensitivities.
 const BINS: usize = 256;
 
@@ -117,7 +117,7 @@ impl QuantiserClasses {
     }
 
     /// How many Gaussians each has, and its steps.
-    pub fn shares(&self, quality: &Quality) -> Vec<QuantiserClass> {
+    pub fn shares(&self, quality: &QuantiserSteps) -> Vec<QuantiserClass> {
         let count =
             |class: usize| self.of.iter().flatten().filter(|&&s| usize::from(s) == class).count() as u64;
         let share = |(class, factors): (usize, &Factors)| QuantiserClass {
@@ -128,7 +128,7 @@ impl QuantiserClasses {
     }
 
     /// Those of epoch `epoch`, with their steps.
-    pub fn of_epoch(&self, epoch: usize, quality: &Quality) -> EpochClasses<'_> {
+    pub fn of_epoch(&self, epoch: usize, quality: &QuantiserSteps) -> EpochClasses<'_> {
         EpochClasses {
             sets: self.sets.get(epoch).map_or(&[][..], Vec::as_slice),
             of: self.of.get(epoch).map_or(&[][..], Vec::as_slice),
@@ -252,7 +252,7 @@ impl Costs {
             let mut own: Factors = [1.0; CLASSES];
             for c in (0..CLASSES).filter(|&c| self.components[c] != 0.0) {
                 let factor = (each * class.count / class.sums[c]).sqrt() as f32;
-                own[c] = factor.clamp(1.0 / MOST_FACTOR, MOST_FACTOR);
+                own[c] = factor.clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
             }
             factors.push(own);
         }
@@ -283,7 +283,7 @@ impl Bin {
 fn cut(bins: &[Bin], components: &[f64; CLASSES], signalled: bool) -> Vec<usize> {
     let n = bins.len();
     let all = Bin::sum(bins);
-    let least_gain = LEAST_GAIN.0 * all.count + LEAST_GAIN.1;
+    let least_gain = MIN_GAIN.0 * all.count + MIN_GAIN.1;
     let mut before = vec![Bin::default(); n + 1];
     for (i, bin) in bins.iter().enumerate() {
         before[i + 1] = Bin::sum(&[before[i], *bin]);
@@ -416,7 +416,7 @@ mod tests {
                 let half_log = |c: usize| 0.5 * components[c] * (part.sums[c] / part.count).log2();
                 sum += part.count * (0..5).map(half_log).sum::<f64>();
                 sum += if signalled { part.count * (all.count / part.count).log2() } else { 0.0 };
-                sum += LEAST_GAIN.0 * all.count + LEAST_GAIN.1;
+                sum += MIN_GAIN.0 * all.count + MIN_GAIN.1;
             }
             sum
         };
@@ -452,7 +452,7 @@ mod tests {
             let classes = QuantiserClasses::measured(&scene, &EncodeOptions::default()).unwrap();
             assert!(classes.factors.len() > 1, "{kind:?} {frames}");
             for (e, epoch) in scene.epochs().iter().enumerate() {
-                let own = classes.of_epoch(e, &Quality::default());
+                let own = classes.of_epoch(e, &QuantiserSteps::default());
                 let mut seen: Vec<u32> = own.sets.concat();
                 seen.sort_unstable();
                 assert!(seen.into_iter().eq(0..epoch.count() as u32));
@@ -460,7 +460,7 @@ mod tests {
                     assert!(set.iter().all(|&i| own.of(&[i]) == own.of(set)));
                 }
             }
-            let shares = classes.shares(&Quality::default());
+            let shares = classes.shares(&QuantiserSteps::default());
             let all: u64 = shares.iter().map(|s| s.gaussians).sum();
             assert_eq!(all, scene.epochs().iter().map(|e| e.count() as u64).sum::<u64>());
         }
@@ -472,13 +472,13 @@ mod tests {
         let options =
             synth::SynthOptions { gaussians: 4000, frames: 1, kind: SynthKind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
-        let evaluator = Evaluator::measuring(&scene, spread(0, 1, 1)).unwrap();
+        let evaluator = Evaluator::validation(&scene, spread(0, 1, 1)).unwrap();
         let marks = |pictures: usize, coarseness: f32| {
-            let quality = Quality::default().scaled(coarseness);
+            let quality = QuantiserSteps::default().scaled(coarseness);
             let encoded = encode(
                 &scene,
                 &EncodeOptions { pictures, quality, ..EncodeOptions::default() },
-                &crate::encode::unheard,
+                &crate::encode::no_progress,
             )
             .unwrap();
             (encoded.report.ledger.wire(), evaluator.whole(&encoded.stream).unwrap())

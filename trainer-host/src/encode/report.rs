@@ -1,7 +1,7 @@
 //! Reports an encoding: what was chosen, what it came to, and where every byte went.
 
 use super::{
-    Decisions, Ledger, Quality, Target, cluster, decisions::QuantiserClass, evaluator::MeasuredViews,
+    Decisions, Ledger, QuantiserSteps, Target, cluster, decisions::QuantiserClass, evaluator::MeasuredViews,
 };
 use crate::stream::Stream;
 
@@ -17,7 +17,7 @@ use crate::stream::Stream;
 /// let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..Default::default() };
 /// let scene = synth::make(&options, &Limits::default())?;
 /// let options = EncodeOptions { pictures: 0, ..Default::default() };
-/// let encoded = encode(&scene, &options, &trainer_host::encode::unheard)?;
+/// let encoded = encode(&scene, &options, &trainer_host::encode::no_progress)?;
 /// let file = encoded.stream.to_bytes()?;
 /// println!("{} bytes, {:.0} bits per Gaussian", file.len(), encoded.report.ledger.bits_per_gaussian());
 /// // Which of the scene's Gaussians the first decoded one is.
@@ -42,15 +42,15 @@ pub struct Report {
     /// Where every byte went.
     pub ledger: Ledger,
     /// Steps before quantiser classes scale them.
-    pub quality: Quality,
+    pub quality: QuantiserSteps,
     /// Gaussians that share steps, the most sensitive first (`dgs1`; empty in `paper`).
     pub quantiser_classes: Vec<QuantiserClass>,
     /// How Gaussians were clustered, and what that gave.
     pub clustering: ClusteringReport,
     /// How the target was met, if there was one.
-    pub reached: Option<Reached>,
+    pub reached: Option<TargetReport>,
     /// What the search of the steps came to, if there was one.
-    pub searched: Option<Searched>,
+    pub searched: Option<SearchReport>,
 }
 
 impl Report {
@@ -102,7 +102,7 @@ impl ClusteringReport {
 
 /// How a target was met.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Reached {
+pub struct TargetReport {
     /// What was asked for.
     pub target: Target,
     /// Factor on the steps of [`EncodeOptions::quality`](super::EncodeOptions::quality).
@@ -117,7 +117,7 @@ pub struct Reached {
 
 /// What a search found.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Searched {
+pub struct SearchReport {
     /// Encodings it took, those at the end included.
     pub encodes: usize,
     /// Whether its steps are better than those it began with; if not, the stream has those.
@@ -126,6 +126,6 @@ pub struct Searched {
     /// Bits on the wire over those without the search: at the same PSNR, or at the same size if
     /// that was asked for.
     pub bits: f64,
-    /// PSNR from measuring cameras above that without the search, dB.
+    /// PSNR from validation cameras above that without the search, dB.
     pub psnr_db: f64,
 }

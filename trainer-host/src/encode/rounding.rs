@@ -243,7 +243,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        encode::{Decisions, EncodeOptions, Quality, encode, factorise::rotation_matrix},
+        encode::{Decisions, EncodeOptions, QuantiserSteps, encode, factorise::rotation_matrix},
         import::{
             Limits,
             synth::{self, SynthKind},
@@ -291,9 +291,9 @@ mod tests {
     /// received, in parts of the value's size.
     fn farthest(coarseness: f32, is_rounded: bool) -> f64 {
         let scene = scene();
-        let quality = Quality::default().scaled(coarseness);
+        let quality = QuantiserSteps::default().scaled(coarseness);
         let options = EncodeOptions { quality, pictures: 4, ..EncodeOptions::default() };
-        let encoded = encode(&scene, &options, &crate::encode::unheard).unwrap();
+        let encoded = encode(&scene, &options, &crate::encode::no_progress).unwrap();
         let Decisions::Dgs1(decisions) = &encoded.decisions else { unreachable!("profile dgs1") };
         let epoch = &scene.epochs()[0];
         let rounding = Rounding::of(decisions, &decisions.epochs[0], epoch.count()).unwrap();
@@ -338,7 +338,7 @@ mod tests {
     #[test]
     fn coordinates_round_to_the_indices_that_are_sent() {
         let scene = scene();
-        let encoded = encode(&scene, &EncodeOptions::default(), &crate::encode::unheard).unwrap();
+        let encoded = encode(&scene, &EncodeOptions::default(), &crate::encode::no_progress).unwrap();
         let Decisions::Dgs1(decisions) = &encoded.decisions else { unreachable!("profile dgs1") };
         let epoch = &scene.epochs()[0];
         let rounding = Rounding::of(decisions, &decisions.epochs[0], epoch.count()).unwrap();

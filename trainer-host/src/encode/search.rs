@@ -1,12 +1,12 @@
 //! Searches by trial how attributes share the bits: the steps that suit a scene's own pictures.
 //!
-//! The steps of [`Quality`] weigh attributes against each other as typical scenes do. Here one step
-//! at a time is made coarser or finer, the scene is encoded and rendered from measuring cameras,
+//! The steps of [`QuantiserSteps`] weigh attributes against each other as typical scenes do. Here one step
+//! at a time is made coarser or finer, the scene is encoded and rendered from validation cameras,
 //! and what gives the same PSNR for fewer bits is kept: a coordinate search, factors shrinking from
 //! round to round, bounded by a number of encodings.
 
 use super::{
-    Analysis, EncodeError, EncodeOptions, Encoded, Progress, Quality, Report, Searched, Target,
+    Analysis, EncodeError, EncodeOptions, Encoded, Progress, QuantiserSteps, Report, SearchReport, Target,
     evaluator::{Evaluator, PSNR_CAP_DB, spread},
     profile::decide_and_write,
     progress::report,
@@ -19,7 +19,7 @@ const FACTORS: [f32; 4] = [1.6, 1.3, 1.15, 1.07];
 /// Factors on all steps whose streams tell what a dB costs.
 const AROUND: (f32, f32) = (0.75, 1.3);
 /// Share of the bits that a change must save: less is the noise of one set of pictures.
-const LEAST_GAIN: f64 = 0.005;
+const MIN_GAIN: f64 = 0.005;
 /// Frames rendered.
 const FRAMES: u32 = 4;
 
@@ -33,10 +33,10 @@ pub(super) fn encode(
 ) -> Result<Encoded, EncodeError> {
     let scene = analysis.scene;
     let frames = spread(0, scene.frames() as u32, FRAMES);
-    let evaluator = Evaluator::measuring_on(scene, frames, &options.backend()?)?;
+    let evaluator = Evaluator::validation_on(scene, frames, &options.backend()?)?;
     let psnr = evaluator.whole(&start.stream)?;
     let before = start.report.ledger.wire();
-    let nothing = Searched { encodes: 0, is_better: false, bits: 1.0, psnr_db: 0.0 };
+    let nothing = SearchReport { encodes: 0, is_better: false, bits: 1.0, psnr_db: 0.0 };
     start.report.searched = Some(nothing);
     if psnr >= PSNR_CAP_DB {
         return Ok(start);
@@ -46,7 +46,7 @@ pub(super) fn encode(
     // Sizes were asked for, or the PSNR that there was is to be kept.
     let wanted = options.target.unwrap_or(Target::PsnrDb(psnr));
     let again = EncodeOptions { quality, target: None, ..options.clone() };
-    start.report.searched = Some(Searched { encodes, ..nothing });
+    start.report.searched = Some(SearchReport { encodes, ..nothing });
     let mut found = match target::encode(analysis, &again, wanted, progress) {
         Ok(found) => found,
         Err(EncodeError::Unreachable { .. }) => return Ok(start),
@@ -59,12 +59,12 @@ pub(super) fn encode(
     };
     let encodes = encodes + found.report.reached.map_or(0, |r| r.encodes);
     if !is_better {
-        start.report.searched = Some(Searched { encodes, ..nothing });
+        start.report.searched = Some(SearchReport { encodes, ..nothing });
         return Ok(start);
     }
     let bits = found.report.ledger.wire() / before;
     let reached = options.target.and(found.report.reached);
-    let searched = Some(Searched { encodes, is_better, bits, psnr_db: gain });
+    let searched = Some(SearchReport { encodes, is_better, bits, psnr_db: gain });
     found.report = Report { reached, searched, ..found.report };
     Ok(found)
 }
@@ -73,9 +73,9 @@ pub(super) fn encode(
 fn on_a_part(
     analysis: &Analysis<'_>,
     options: &EncodeOptions,
-    quality: Quality,
+    quality: QuantiserSteps,
     progress: Progress<'_>,
-) -> Result<(Quality, usize), EncodeError> {
+) -> Result<(QuantiserSteps, usize), EncodeError> {
     let scene = analysis.scene;
     let middle = scene.epochs().len() / 2;
     let part = scene.epochs().get(middle).filter(|_| scene.epochs().len() > 1);
@@ -85,7 +85,7 @@ fn on_a_part(
     let analysis = of_part.as_ref().unwrap_or(analysis);
     let part = analysis.scene;
     let frames = spread(0, part.frames() as u32, FRAMES);
-    let evaluator = Evaluator::measuring_on(part, frames, &options.backend()?)?;
+    let evaluator = Evaluator::validation_on(part, frames, &options.backend()?)?;
     let mut tries = 0;
     descend(quality, &Axis::of(part), options.search, |quality| {
         report(progress, "search", tries as f64 / options.search as f64)?;
@@ -93,13 +93,13 @@ fn on_a_part(
         let encoded = decide_and_write(
             analysis,
             &EncodeOptions { quality, ..options.clone() },
-            &crate::encode::unheard,
+            &crate::encode::no_progress,
         )?;
         Ok(RateAndPsnr { bits: encoded.report.ledger.wire(), psnr: evaluator.whole(&encoded.stream)? })
     })
 }
 
-/// A step of [`Quality`].
+/// A step of [`QuantiserSteps`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Axis {
     Position,
@@ -126,7 +126,7 @@ impl Axis {
     }
 
     /// `quality` with this step times `factor`.
-    fn scaled(self, mut quality: Quality, factor: f32) -> Quality {
+    fn scaled(self, mut quality: QuantiserSteps, factor: f32) -> QuantiserSteps {
         let step = match self {
             Self::Position => &mut quality.position,
             Self::Scale => &mut quality.scale,
@@ -152,11 +152,11 @@ struct RateAndPsnr {
 
 /// The best steps found from `start` along `axes` with at most `most` measurements, and how many it took.
 fn descend<E>(
-    start: Quality,
+    start: QuantiserSteps,
     axes: &[Axis],
     most: usize,
-    mut measure: impl FnMut(Quality) -> Result<RateAndPsnr, E>,
-) -> Result<(Quality, usize), E> {
+    mut measure: impl FnMut(QuantiserSteps) -> Result<RateAndPsnr, E>,
+) -> Result<(QuantiserSteps, usize), E> {
     if most < 4 {
         return Ok((start, 0));
     }
@@ -182,7 +182,7 @@ fn descend<E>(
                     let found = measure(other)?;
                     tries += 1;
                     let saved = (found.psnr - marks.psnr) / db_per_log_bits - (found.bits / marks.bits).ln();
-                    if saved <= LEAST_GAIN {
+                    if saved <= MIN_GAIN {
                         break;
                     }
                     (quality, marks) = (other, found);
@@ -205,7 +205,7 @@ mod tests {
     };
 
     /// Attributes with `values` values each whose squared errors weigh `weights`: log rate, PSNR of the sum.
-    fn model(values: [f64; 5], weights: [f64; 5]) -> impl Fn(Quality) -> RateAndPsnr {
+    fn model(values: [f64; 5], weights: [f64; 5]) -> impl Fn(QuantiserSteps) -> RateAndPsnr {
         move |q| {
             let steps = [q.position, q.scale, q.rotation, q.opacity, q.sh0].map(f64::from);
             let bits: f64 = steps.iter().zip(values).map(|(s, n)| n * (6.0 - s.log2())).sum();
@@ -219,13 +219,13 @@ mod tests {
     #[test]
     fn steps_come_to_weigh_errors_by_the_number_of_values() {
         let values = [3.0, 3.0, 3.0, 1.0, 3.0];
-        let start = Quality {
+        let start = QuantiserSteps {
             position: 1.0,
             scale: 1.0,
             rotation: 1.0,
             opacity: 1.0,
             sh0: 1.0,
-            ..Quality::default()
+            ..QuantiserSteps::default()
         };
         let weights = [12.0, 3.0, 1.0, 1.0, 0.3];
         let marks = model(values, weights);
@@ -248,13 +248,13 @@ mod tests {
     fn few_tries_change_nothing_and_balance_stays() {
         let values = [3.0, 3.0, 3.0, 1.0, 3.0];
         let marks = model(values, values);
-        let start = Quality {
+        let start = QuantiserSteps {
             position: 1.0,
             scale: 1.0,
             rotation: 1.0,
             opacity: 1.0,
             sh0: 1.0,
-            ..Quality::default()
+            ..QuantiserSteps::default()
         };
         assert_eq!(descend(start, &AXES, 3, |q| Ok::<_, ()>(marks(q))), Ok((start, 0)));
         assert_eq!(descend(start, &AXES, 500, |q| Ok::<_, ()>(marks(q))), Ok((start, 43)));
@@ -265,15 +265,15 @@ mod tests {
         let options =
             synth::SynthOptions { gaussians: 1000, frames: 4, kind: SynthKind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
-        let evaluator = Evaluator::measuring(&scene, spread(0, 4, FRAMES)).unwrap();
+        let evaluator = Evaluator::validation(&scene, spread(0, 4, FRAMES)).unwrap();
         // Far from balance: positions much too fine.
-        let quality = Quality { position: 0.002, ..Quality::default() };
+        let quality = QuantiserSteps { position: 0.002, ..QuantiserSteps::default() };
         let plain = EncodeOptions { quality, pictures: 0, ..EncodeOptions::default() };
-        let first = super::super::encode(&scene, &plain, &crate::encode::unheard).unwrap();
+        let first = super::super::encode(&scene, &plain, &crate::encode::no_progress).unwrap();
         let found = super::super::encode(
             &scene,
             &EncodeOptions { search: 16, ..plain.clone() },
-            &crate::encode::unheard,
+            &crate::encode::no_progress,
         )
         .unwrap();
         let searched = found.report.searched.unwrap();
@@ -284,7 +284,7 @@ mod tests {
         // A size that was asked for is kept.
         let target = Some(Target::Bytes(first.report.ledger.wire() as u64));
         let sized = EncodeOptions { search: 16, target, ..plain };
-        let found = super::super::encode(&scene, &sized, &crate::encode::unheard).unwrap();
+        let found = super::super::encode(&scene, &sized, &crate::encode::no_progress).unwrap();
         assert!(found.report.ledger.wire() <= first.report.ledger.wire() && found.report.reached.is_some());
         assert!(found.report.searched.unwrap().psnr_db > 0.0);
     }

@@ -27,7 +27,7 @@ pub const CLASSES: usize = 6;
 pub type Weights = [f64; CLASSES];
 
 /// Most pictures of an epoch.
-pub const MOST_PICTURES: usize = 1024;
+pub const MAX_PICTURES: usize = 1024;
 /// Width and height of a picture, pixels.
 const SIZE: (u32, u32) = (256, 256);
 /// Opacities are seen within this range: beyond it a picture is cut off or clamped, and small errors

@@ -10,7 +10,7 @@ use crate::scene::Epoch;
 
 /// Fineness of the quantisers at the last level, per attribute.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Quality {
+pub struct QuantiserSteps {
     /// Position step, in units of the median Gaussian's size, the geometric mean of its axes.
     pub position: f32,
     /// Log-scale step.
@@ -28,7 +28,7 @@ pub struct Quality {
     pub motion: f32,
 }
 
-impl Default for Quality {
+impl Default for QuantiserSteps {
     /// Visually lossless: about one 8-bit step of colour, a twentieth of a standard deviation.
     fn default() -> Self {
         Self {
@@ -43,7 +43,7 @@ impl Default for Quality {
     }
 }
 
-impl Quality {
+impl QuantiserSteps {
     /// All steps times `factor`.
     #[must_use]
     pub fn scaled(self, factor: f32) -> Self {
@@ -141,14 +141,19 @@ impl Grid {
         let least_base = extent / BASE_INDEX_SPAN;
         let origin = [0, 1, 2].map(|d| low[d] + (high[d] - low[d]) * 0.5);
         let least = ladder((least_base / most_ratio).max(1e-7) * 1.2);
-        Self { origin, usual: ladder(Quality::default().position * size).max(least), least, least_base }
+        Self {
+            origin,
+            usual: ladder(QuantiserSteps::default().position * size).max(least),
+            least,
+            least_base,
+        }
     }
 
     /// Finest position step for `quality`, scene units.
-    pub fn step(&self, quality: &Quality) -> f32 {
+    pub fn step(&self, quality: &QuantiserSteps) -> f32 {
         // The ladder is for what differs between epochs; the caller's coarseness moves all rungs alike,
         // so that rate control finds no stairs.
-        (self.usual * (quality.position / Quality::default().position)).max(self.least)
+        (self.usual * (quality.position / QuantiserSteps::default().position)).max(self.least)
     }
 
     /// `usual`, or wider ratios where base indices of a last step of `step` would not fit: a few Gaussians
@@ -186,7 +191,7 @@ pub(super) const DGS1_MOST_RATIO: f32 = 60_000.0;
 /// per canonical class, then per moving class, whether differences are coded, `decorrelated` per canonical
 /// class whether triples are coded as their mean and differences.
 pub(super) fn dgs1(
-    quality: &Quality,
+    quality: &QuantiserSteps,
     grid: &Grid,
     frames: usize,
     predicted: &[bool; Class::COUNT + Class::MOVING],
@@ -194,7 +199,7 @@ pub(super) fn dgs1(
 ) -> Result<Quant, EncodeError> {
     let position_step = grid.step(quality);
     let step = |class: Class| if class == Class::Position { position_step } else { quality.of(class) };
-    let usual = Quality::default();
+    let usual = QuantiserSteps::default();
     let coarser = |class: Class| quality.of(class) / usual.of(class);
     let first = Quantiser::new(position_step, [3; 3], false)?;
     let mut quant = Quant { canonical: [first; Class::COUNT], motion: [first; Class::MOVING] };
@@ -219,7 +224,7 @@ pub(super) fn dgs1(
 }
 
 /// The `paper` quantisation profile: sixteenths from plane to plane, i16 everywhere.
-pub(super) fn paper(quality: &Quality, position_step: f32) -> Result<Quant, EncodeError> {
+pub(super) fn paper(quality: &QuantiserSteps, position_step: f32) -> Result<Quant, EncodeError> {
     let planes = [8, 4, 4];
     let flat = [1, 1, 1];
     let rest = Quantiser::new(quality.sh_rest, flat, false)?;
@@ -271,14 +276,14 @@ mod tests {
             let epoch = wide(130, size);
             let grid = Grid::of(&epoch, DGS1_MOST_RATIO);
             for coarseness in [0.06, 0.3, 1.0, 1.7, 1.8, 5.1, 5.3, 15.0, 16.0, 64.0] {
-                let quality = Quality::default().scaled(coarseness);
+                let quality = QuantiserSteps::default().scaled(coarseness);
                 let none = [false; Class::COUNT + Class::MOVING];
                 let quant = dgs1(&quality, &grid, 1, &none, &[false; Class::COUNT]).unwrap();
                 let base = quant.canonical[Class::Position.index()].step(Level::BASE);
                 assert!(1000.0 / base < 32_767.0, "size {size}, coarseness {coarseness}: {base}");
                 let scene = Scene::new(vec![epoch.clone()], 30.0).unwrap();
                 let options = EncodeOptions { quality, pictures: 2, ..EncodeOptions::default() };
-                let stream = encode(&scene, &options, &crate::encode::unheard).unwrap();
+                let stream = encode(&scene, &options, &crate::encode::no_progress).unwrap();
                 assert_eq!(stream.report.ledger.saturated, 0, "size {size}, coarseness {coarseness}");
             }
         }
@@ -297,14 +302,14 @@ mod tests {
             Epoch::new(1, attributes).unwrap()
         };
         let near = Grid::of(&with_one_at(1.0), DGS1_MOST_RATIO);
-        let quality = Quality::default();
+        let quality = QuantiserSteps::default();
         for far in [1e2, 1e3, 1e4] {
             let epoch = with_one_at(far);
             let grid = Grid::of(&epoch, DGS1_MOST_RATIO);
             assert_eq!(grid.step(&quality), near.step(&quality), "{far}");
             let scene = Scene::new(vec![epoch], 30.0).unwrap();
             let options = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
-            let stream = encode(&scene, &options, &crate::encode::unheard).unwrap();
+            let stream = encode(&scene, &options, &crate::encode::no_progress).unwrap();
             assert_eq!(stream.report.ledger.saturated, 0, "{far}");
         }
     }

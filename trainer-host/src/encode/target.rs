@@ -7,7 +7,7 @@
 use render_host::Settings;
 
 use super::{
-    Analysis, Decisions, EncodeError, EncodeOptions, Encoded, Progress, Reached, Target, TargetViews,
+    Analysis, Decisions, EncodeError, EncodeOptions, Encoded, Progress, Target, TargetReport, TargetViews,
     evaluator::{Evaluator, spread},
     profile::{again, decide_and_write},
 };
@@ -39,7 +39,7 @@ pub(super) fn encode(
             let frames = spread(0, scene.frames() as u32, FRAMES);
             let backend = options.backend()?;
             Some(match &options.target_views {
-                None => Evaluator::measuring_on(scene, frames, &backend)?,
+                None => Evaluator::validation_on(scene, frames, &backend)?,
                 Some(TargetViews { cameras, background }) => {
                     let settings = Settings { background: *background, ..Settings::default() };
                     Evaluator::new(scene, cameras.clone(), frames, &settings, &backend)?
@@ -77,7 +77,7 @@ pub(super) fn encode(
         });
     }
     let views = evaluator.map(|evaluator| evaluator.measured(scene)).transpose()?;
-    encoded.report.reached = Some(Reached { target, coarseness, encodes: found.tries, value, views });
+    encoded.report.reached = Some(TargetReport { target, coarseness, encodes: found.tries, value, views });
     Ok(encoded)
 }
 
@@ -89,7 +89,7 @@ const NO_STREAM: f64 = 3.0;
 ///
 /// # Errors
 /// As [`again`], or a size that steps of motion do not lead to.
-pub fn again_to_size(
+pub fn reencode_to_size(
     scene: &Scene,
     decisions: &Decisions,
     options: &EncodeOptions,
@@ -124,7 +124,8 @@ pub fn again_to_size(
         });
     }
     let coarseness = motion;
-    encoded.report.reached = Some(Reached { target, coarseness, encodes: found.tries, value, views: None });
+    encoded.report.reached =
+        Some(TargetReport { target, coarseness, encodes: found.tries, value, views: None });
     Ok(encoded)
 }
 
@@ -234,14 +235,14 @@ mod tests {
 
     fn encoded(target: Target) -> Result<Encoded, EncodeError> {
         let options = EncodeOptions { target: Some(target), ..EncodeOptions::default() };
-        super::super::encode(&scene(), &options, &crate::encode::unheard)
+        super::super::encode(&scene(), &options, &crate::encode::no_progress)
     }
 
     #[test]
     fn sizes_are_met_closely_and_never_exceeded() {
         for factor in [0.5, 1.7] {
-            let free =
-                super::super::encode(&scene(), &EncodeOptions::default(), &crate::encode::unheard).unwrap();
+            let free = super::super::encode(&scene(), &EncodeOptions::default(), &crate::encode::no_progress)
+                .unwrap();
             let wanted = (free.report.ledger.wire() * factor) as u64;
             let stream = encoded(Target::Bytes(wanted)).unwrap();
             let sent = stream.stream.wire_bytes();
@@ -257,7 +258,7 @@ mod tests {
     #[test]
     fn a_psnr_is_reached_and_not_much_more() {
         let stream = encoded(Target::PsnrDb(46.0)).unwrap();
-        let evaluator = Evaluator::measuring(&scene(), spread(0, 4, FRAMES)).unwrap();
+        let evaluator = Evaluator::validation(&scene(), spread(0, 4, FRAMES)).unwrap();
         let found = evaluator.whole(&stream.stream).unwrap();
         assert_eq!(Some(found), stream.report.reached.map(|r| r.value));
         assert!((46.0..46.6).contains(&found), "{found}");
@@ -277,14 +278,14 @@ mod tests {
             target_views: Some(views),
             ..EncodeOptions::default()
         };
-        let encoded = super::super::encode(&scene, &options, &crate::encode::unheard).unwrap();
+        let encoded = super::super::encode(&scene, &options, &crate::encode::no_progress).unwrap();
         let reached = encoded.report.reached.unwrap();
         let settings = Settings { background: [1.0; 3], ..Settings::default() };
         let evaluator =
             Evaluator::new(&scene, cameras, spread(0, 4, FRAMES), &settings, &render_host::Backend::Cpu)
                 .unwrap();
         assert_eq!(evaluator.whole(&encoded.stream).unwrap(), reached.value);
-        let around = Evaluator::measuring(&scene, spread(0, 4, FRAMES)).unwrap();
+        let around = Evaluator::validation(&scene, spread(0, 4, FRAMES)).unwrap();
         assert_ne!(around.whole(&encoded.stream).unwrap(), reached.value);
         assert_eq!(reached.views.map(|v| (v.cameras, v.width)), Some((2, 96)));
     }
@@ -326,12 +327,13 @@ mod tests {
         };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let options = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
-        let first = crate::encode::encode(&scene, &options, &crate::encode::unheard).unwrap();
+        let first = crate::encode::encode(&scene, &options, &crate::encode::no_progress).unwrap();
         let bytes = first.report.ledger.wire();
         for share in [0.95, 1.05] {
             let target = Some(Target::Bytes((share * bytes) as u64));
             let to_size = EncodeOptions { target, ..options.clone() };
-            let found = again_to_size(&scene, &first.decisions, &to_size, &crate::encode::unheard).unwrap();
+            let found =
+                reencode_to_size(&scene, &first.decisions, &to_size, &crate::encode::no_progress).unwrap();
             let ratio = found.report.ledger.wire() / (share * bytes);
             assert!((1.0 - CLOSE..=1.0).contains(&ratio), "{share}: {ratio}");
             assert_eq!(found.order, first.order);
@@ -342,10 +344,12 @@ mod tests {
             assert_eq!(canonical(&found), canonical(&first));
         }
         let few = EncodeOptions { target: Some(Target::Bytes(1000)), ..options.clone() };
-        let error = again_to_size(&scene, &first.decisions, &few, &crate::encode::unheard).unwrap_err();
+        let error =
+            reencode_to_size(&scene, &first.decisions, &few, &crate::encode::no_progress).unwrap_err();
         assert!(matches!(error, EncodeError::UnreachableByMotion { .. }), "{error}");
         // Without a size nothing is sought.
-        let again = again_to_size(&scene, &first.decisions, &options, &crate::encode::unheard).unwrap();
+        let again =
+            reencode_to_size(&scene, &first.decisions, &options, &crate::encode::no_progress).unwrap();
         assert_eq!(again.report.reached, None);
     }
 }

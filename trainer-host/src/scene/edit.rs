@@ -83,8 +83,8 @@ fn edited(
 fn with_epochs(scene: &Scene, epochs: Vec<Epoch>) -> Result<Scene, SceneError> {
     let made = Scene::new(epochs, scene.frames_per_second())?;
     let (cameras, notes) = (scene.cameras.clone(), scene.notes.clone());
-    let Scene { up, usual_up, footprint, .. } = *scene;
-    Ok(Scene { up, usual_up, footprint, cameras, notes, ..made })
+    let Scene { up, default_up, footprint, .. } = *scene;
+    Ok(Scene { up, default_up, footprint, cameras, notes, ..made })
 }
 
 /// The frames from `first` to `last`, both included.
@@ -194,7 +194,7 @@ pub fn merged(scene: &Scene, other: &Scene) -> Result<Scene, EditError> {
     }
     let mut out = with_epochs(if a >= b { scene } else { other }, epochs)?;
     out.up = scene.up;
-    out.usual_up = scene.usual_up;
+    out.default_up = scene.default_up;
     let cameras = if scene.cameras.is_empty() { &other.cameras } else { &scene.cameras };
     out.cameras.clone_from(cameras);
     out.notes = [&scene.notes[..], &other.notes].concat();

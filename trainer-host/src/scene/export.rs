@@ -2,7 +2,7 @@
 //!
 //! A frame is written from its [`Attributes`](crate::scene::Attributes), not from a rendered instant,
 //! so logs and logits survive without a detour through `exp` and `ln`. Axes are those of the scene: who
-//! writes a scene turns it first to [`usual_up`](crate::import::usual_up) of the format.
+//! writes a scene turns it first to [`default_up`](crate::import::default_up) of the format.
 
 pub mod compressed_ply;
 mod file_format;

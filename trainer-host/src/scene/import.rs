@@ -140,7 +140,7 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
                 .map_err(in_file)
         }
     }?;
-    Ok(Scene { usual_up: usual_up(format), ..scene })
+    Ok(Scene { default_up: default_up(format), ..scene })
 }
 
 /// SOG's list of levels of detail, each of which is a folder beside it.
@@ -174,7 +174,7 @@ fn is_pickled(bytes: &[u8]) -> bool {
 
 /// Which way is up in most files of a format. Captures keep the axes of COLMAP, whose y points down; SPZ and
 /// glTF have a y that points up.
-pub fn usual_up(format: Format) -> Option<Up> {
+pub fn default_up(format: Format) -> Option<Up> {
     match format {
         Format::Spz | Format::Gltf | Format::GltfSplats => Some(Up::Y),
         Format::Ply | Format::CompressedPly | Format::Splat | Format::Sog | Format::Unity => Some(Up::MinusY),
@@ -260,7 +260,7 @@ fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
     let mut up = None;
     for file in files {
         let bytes = read(&file, options)?;
-        up = usual_up(sniff(&bytes, &file));
+        up = default_up(sniff(&bytes, &file));
         // What the frames become is bounded too: a compressed frame may hold far more than its bytes.
         let frame = snapshot_of(&bytes, &file, options)?;
         let per_gaussian = (14 + frame.epoch.attributes().sh_degree.rest_len()) * 4;
@@ -277,7 +277,7 @@ fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
     let rate = options.frames_per_second.or(written).unwrap_or(ImportOptions::FRAMES_PER_SECOND);
     let mut scene = sequence::assemble(frames, identity, rate)?;
     scene.notes.extend(notes);
-    Ok(Scene { usual_up: up, ..scene })
+    Ok(Scene { default_up: up, ..scene })
 }
 
 /// The file of a deformation field that a folder holds: one iteration of a training, or a whole training, of
@@ -322,7 +322,7 @@ fn field(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Scene, Im
         files.iter().find(|file| file.is_file()).map(|file| read(file, options)).transpose()
     };
     let (gaussians, arguments) = (first_of(&gaussians)?, first_of(&arguments)?);
-    let beside = deformation::Beside { gaussians: gaussians.as_deref(), options: arguments.as_deref() };
+    let beside = deformation::SidecarFiles { gaussians: gaussians.as_deref(), options: arguments.as_deref() };
     let frames = options.deformation_frames;
     deformation::parse(bytes, beside, frames, options.rate(), &options.limits)
 }
@@ -437,7 +437,7 @@ mod tests {
         assert_eq!(import(&path, &ImportOptions::default()).unwrap().frames(), deformation::DEFAULT_FRAMES);
         let (_folder, path) = file("a.glb", &gltf_splats::tests::sample(8));
         let scene = import(&path, &ImportOptions::default()).unwrap();
-        assert_eq!((scene.max_count(), scene.usual_up), (8, Some(Up::Y)));
+        assert_eq!((scene.max_count(), scene.default_up), (8, Some(Up::Y)));
         let (_folder, path) = file("a.ply", &compressed_ply::tests::sample(3));
         assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 3);
     }

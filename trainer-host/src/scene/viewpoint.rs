@@ -1,6 +1,6 @@
 //! Places cameras around a scene that came without any.
 //!
-//! *Measuring* cameras, and cameras all around, are those on which choices are made (utilities, steps,
+//! *Validation* cameras, and cameras all around, are those on which choices are made (utilities, steps,
 //! levels); quality is reported on *held-out* cameras. Each kind has elevations of its own, so that from
 //! the middle of the scene a held-out camera is at least [`SEPARATION`] away from every camera that a
 //! choice was made on, however many there are of each.
@@ -14,8 +14,8 @@ pub const SEPARATION: f64 = 6.0;
 
 /// Elevation of held-out cameras above the horizon, degrees.
 const HELD_OUT: f64 = 20.0;
-/// Elevation of measuring cameras, degrees.
-const MEASURING: f64 = 28.0;
+/// Elevation of validation cameras, degrees.
+const VALIDATION_RING: f64 = 28.0;
 /// Elevations of cameras all around, degrees: on both sides of the held-out ones.
 const AROUND: [(f64, f64); 2] = [(-20.0, HELD_OUT - SEPARATION), (HELD_OUT + SEPARATION, 60.0)];
 /// Distance of a camera from the target, radii.
@@ -32,7 +32,7 @@ const GOLDEN: f64 = 2.399_963_229_728_653;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ring {
     /// For measurements that choices depend on.
-    Measuring,
+    Validation,
     /// For reported quality.
     HeldOut,
 }
@@ -108,13 +108,13 @@ impl Framing {
     }
 
     /// `count` cameras of `size` (width, height) on a ring at 2.6 radii, 45° field of view: 20° above the
-    /// horizon if held out, 28° if measuring.
+    /// horizon if held out, 28° if validation.
     ///
     /// # Errors
     /// A size the camera refuses.
     pub fn ring(&self, ring: Ring, count: usize, size: (u32, u32)) -> Result<Vec<Camera>, CameraError> {
         let (start, elevation) = match ring {
-            Ring::Measuring => (0.0, MEASURING),
+            Ring::Validation => (0.0, VALIDATION_RING),
             Ring::HeldOut => (std::f64::consts::PI / count.max(1) as f64 + 0.1, HELD_OUT),
         };
         let angle = |i: usize| start + std::f64::consts::TAU * i as f64 / count as f64;
@@ -215,11 +215,11 @@ mod tests {
                 // Pictures that steps follow.
                 let around = UNIT.around(count, size).unwrap();
                 // Utilities, targets and tables.
-                let measuring = UNIT.ring(Ring::Measuring, count, size).unwrap();
+                let validation = UNIT.ring(Ring::Validation, count, size).unwrap();
                 // Truncation looks from below too.
-                let below = UNIT.upside_down().ring(Ring::Measuring, count, size).unwrap();
-                assert_eq!([around.len(), measuring.len(), below.len()], [count; 3]);
-                for (name, chosen_on) in [("around", around), ("measuring", measuring), ("below", below)] {
+                let below = UNIT.upside_down().ring(Ring::Validation, count, size).unwrap();
+                assert_eq!([around.len(), validation.len(), below.len()], [count; 3]);
+                for (name, chosen_on) in [("around", around), ("validation", validation), ("below", below)] {
                     let angle = closest(&held_out, &chosen_on);
                     assert!(angle > SEPARATION - 1e-6, "{name} of {count}: {angle}");
                 }

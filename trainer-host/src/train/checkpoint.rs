@@ -59,7 +59,7 @@ pub enum CheckpointError {
 
 impl Checkpoint {
     /// Most Gaussians times frames of the scene in a checkpoint: about 3 GB.
-    pub const MOST_POSED: usize = 50_000_000;
+    pub const MAX_POSED: usize = 50_000_000;
 
     /// The state of `trainer` after a step at `progress`.
     pub fn of(trainer: &Trainer, dataset: &Dataset, progress: f64) -> Self {
@@ -149,7 +149,7 @@ impl Checkpoint {
             && read.frames_per_second.is_finite()
             && read.frames_per_second > 0.0
             && Up::numbered(read.up).is_some()
-            && (1..=Self::MOST_POSED).contains(&posed);
+            && (1..=Self::MAX_POSED).contains(&posed);
         if sound { Ok(read) } else { Err(CheckpointError::Damaged("its numbers do not fit together")) }
     }
 }

@@ -51,6 +51,6 @@ pub use evaluate::{Evaluation, evaluate};
 pub use fine_tune::{FineTuned, Update, fine_tune};
 pub use masks::Masks;
 pub use rank::{RankChoice, RankResult, choose_rank, sweep_ranks};
-pub use record::{Record, Registration};
+pub use record::{Preregistration, Record};
 pub use select::Candidate;
 pub use view::Reference;

@@ -27,14 +27,14 @@ const NARROWER: f32 = 0.5;
 
 /// How much the views have pulled at each Gaussian's centre since Gaussians were last added.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Pull {
+pub(super) struct ViewGradients {
     /// Sum of the lengths of gradients on the image plane.
     sum: Vec<f32>,
     /// Views that showed the Gaussian.
     views: Vec<f32>,
 }
 
-impl Pull {
+impl ViewGradients {
     pub(super) fn none(count: usize) -> Self {
         Self { sum: vec![0.0; count], views: vec![0.0; count] }
     }
@@ -79,7 +79,7 @@ pub(super) struct Region<'a> {
 /// Returns for each Gaussian now there the index it had, or its parent had, before.
 pub(super) fn control(
     gaussians: &mut TrainedGaussians,
-    pull: &Pull,
+    pull: &ViewGradients,
     target: usize,
     kind: DensityControl,
     region: Region,
@@ -237,7 +237,7 @@ mod tests {
         let free_space = FreeSpace::before(vec![camera.unwrap()], 1.01, 0.95);
         let mut gaussians = row(&[0.5; 4]);
         let mut rng = Pcg64Mcg::seed_from_u64(1);
-        let pull = Pull::none(4);
+        let pull = ViewGradients::none(4);
         let from = control(&mut gaussians, &pull, 4, DensityControl::Split, anywhere(&free_space), &mut rng);
         assert_eq!(from, [0]);
     }
@@ -245,7 +245,7 @@ mod tests {
     #[test]
     fn the_pulled_one_is_split_along_its_longest_axis_and_the_faint_one_goes() {
         let mut gaussians = row(&[0.5, 0.001, 0.5, 0.5, 0.5, 0.5]);
-        let mut pull = Pull::none(6);
+        let mut pull = ViewGradients::none(6);
         let splat = |x: f32| SplatGradient { image_mean: [x, 0.0], ..SplatGradient::default() };
         pull.add(&[splat(0.0), splat(9.0), splat(0.0), splat(1.0), splat(0.0), splat(0.0)], &[]);
         let mut rng = Pcg64Mcg::seed_from_u64(1);

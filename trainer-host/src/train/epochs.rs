@@ -26,14 +26,14 @@ const TRIAL_VIEWS: usize = 24;
 
 /// How clips are parted.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PartOptions {
+pub struct SplitOptions {
     /// What parts must gain in PSNR over the whole, dB.
     pub gain_db: f64,
     /// Steps of a trial of all frames; of fewer frames as many fewer.
     pub steps: u32,
 }
 
-impl Default for PartOptions {
+impl Default for SplitOptions {
     fn default() -> Self {
         Self { gain_db: 0.5, steps: 600 }
     }
@@ -69,7 +69,7 @@ pub fn part(
     scene: &Scene,
     dataset: &Dataset,
     train: &TrainOptions,
-    options: PartOptions,
+    options: SplitOptions,
     observe: &mut dyn FnMut(usize),
 ) -> Result<Parts, TrainError> {
     let train = TrainOptions {

@@ -67,7 +67,7 @@ pub enum TrainError {
     Scene(SceneError),
     /// Training left what numbers can hold, again and again.
     #[error(
-        "training diverged at step {step}: {what}; it fell back {retreats} times and did so again; lower \
+        "training diverged at step {step}: {what}; it fell back {rollbacks} times and did so again; lower \
          rates or more rigidity may help"
     )]
     Diverged {
@@ -76,7 +76,7 @@ pub enum TrainError {
         /// What was found.
         what: String,
         /// How often training had fallen back.
-        retreats: u32,
+        rollbacks: u32,
     },
     /// A checkpoint that does not belong to this dataset and these options.
     #[error("checkpoint: {0}")]

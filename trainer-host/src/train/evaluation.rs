@@ -77,7 +77,7 @@ pub struct Compared {
 }
 
 /// A scene that can be shown at any time from 0 to 1.
-pub trait Posable: Sync {
+pub trait DynamicScene: Sync {
     /// The Gaussians at `time`, into memory that is used again.
     fn pose(&self, time: f32, out: &mut Instant);
 
@@ -85,7 +85,7 @@ pub trait Posable: Sync {
     fn footprint(&self) -> Footprint;
 }
 
-impl Posable for Model {
+impl DynamicScene for Model {
     fn pose(&self, time: f32, out: &mut Instant) {
         self.instant_into(time, out);
     }
@@ -104,7 +104,7 @@ pub struct Clip {
     pub footprint: Footprint,
 }
 
-impl Posable for Clip {
+impl DynamicScene for Clip {
     fn pose(&self, time: f32, out: &mut Instant) {
         let last = self.instants.len().saturating_sub(1);
         let frame = (f64::from(time) * last as f64).round() as usize;
@@ -122,7 +122,7 @@ impl Posable for Clip {
 /// An index past the end, a size that `reduced` does not divide, `reduced` 0, or a picture that cannot be
 /// rendered.
 pub fn compare<S>(
-    scene: &dyn Posable,
+    scene: &dyn DynamicScene,
     views: &Views<S>,
     index: usize,
     reduced: u32,
@@ -153,7 +153,7 @@ pub fn compare<S>(
 /// # Errors
 /// No views, a size that `reduced` does not divide, or a picture that cannot be rendered.
 pub fn evaluate<S: Sync>(
-    scene: &dyn Posable,
+    scene: &dyn DynamicScene,
     views: &Views<S>,
     reduced: u32,
     background: [f32; 3],
@@ -201,7 +201,7 @@ struct OfView {
 /// # Errors
 /// As [`evaluate`], or pictures too small for LPIPS.
 pub fn perceptual<S>(
-    scene: &dyn Posable,
+    scene: &dyn DynamicScene,
     views: &Views<S>,
     reduced: u32,
     background: [f32; 3],

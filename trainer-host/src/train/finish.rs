@@ -172,9 +172,11 @@ impl Finisher {
         options.target = (finish.target_bytes > 0)
             .then(|| Target::Bytes(((finish.target_bytes as f64 * room) as u64).max(1)));
         let plain = EncodeOptions { target: None, ..options.clone() };
-        let encoded = match encode::encode(&scene, &options, &crate::encode::unheard) {
+        let encoded = match encode::encode(&scene, &options, &crate::encode::no_progress) {
             // Whether the size can be met is decided where the scene is encoded at last.
-            Err(EncodeError::Unreachable { .. }) => encode::encode(&scene, &plain, &crate::encode::unheard),
+            Err(EncodeError::Unreachable { .. }) => {
+                encode::encode(&scene, &plain, &crate::encode::no_progress)
+            }
             encoded => encoded,
         };
         let encoded = encoded.map_err(TrainError::Encode)?;

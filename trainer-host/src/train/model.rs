@@ -5,9 +5,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    changing::Changing,
     gaussians::TrainedGaussians,
     motion::{ControlNodes, FOLLOWED, MovedPoint, Trajectory, trajectory_times},
+    moving_region::MovingRegion,
     parameter::Parameter,
 };
 use crate::scene::{Attributes, Epoch, Instant, Scene, SceneError, Track, footprint_name};
@@ -95,9 +95,10 @@ impl Model {
     /// Adds a layer of `count` nodes that move as the Gaussians do that they stand at; Gaussians follow those
     /// nearest to them over the clip. Where it is known in which space something moves, Gaussians outside of
     /// it stand still.
-    pub(super) fn spread_nodes(&mut self, count: usize, changing: Option<&Changing>) {
+    pub(super) fn spread_nodes(&mut self, count: usize, changing: Option<&MovingRegion>) {
         // A space that no Gaussian is in does not tell which of them move.
-        let is_in = |changing: &&Changing| self.gaussians.positions().iter().any(|&p| changing.contains(p));
+        let is_in =
+            |changing: &&MovingRegion| self.gaussians.positions().iter().any(|&p| changing.contains(p));
         let changing = changing.filter(is_in);
         if let Some(changing) = changing {
             self.follow_where(changing);
@@ -135,7 +136,7 @@ impl Model {
     }
 
     /// Lets those Gaussians follow nodes that are where something moves, and no others.
-    fn follow_where(&mut self, changing: &Changing) {
+    fn follow_where(&mut self, changing: &MovingRegion) {
         if self.nodes.is_empty() {
             return;
         }

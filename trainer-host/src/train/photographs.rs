@@ -9,7 +9,7 @@ use super::{schedule::Sizes, views::PosedPhotograph};
 const MARGIN: f64 = 0.05;
 
 /// Most times that photographs are reduced.
-pub(super) const MOST_REDUCED: u32 = 64;
+pub(super) const MAX_REDUCED: u32 = 64;
 
 /// Photographs at several sizes, coarsest first.
 #[derive(Debug)]
@@ -29,7 +29,7 @@ impl<'a> Pyramid<'a> {
     pub(super) fn new(originals: &'a [PosedPhotograph], max_side: u32) -> Self {
         let sides = || originals.iter().flat_map(|view| [view.photograph.width(), view.photograph.height()]);
         let common = sides().fold(0, greatest_common_divisor);
-        let most = || (1..=MOST_REDUCED).rev().find(|by| common.is_multiple_of(*by)).unwrap_or(1);
+        let most = || (1..=MAX_REDUCED).rev().find(|by| common.is_multiple_of(*by)).unwrap_or(1);
         let base = exact_reduction(sides(), max_side).unwrap_or_else(most);
         // Reductions that fit the greatest common divisor fit every side.
         let shortest = sides().min().unwrap_or(1);
@@ -88,7 +88,7 @@ pub(super) fn exact_reduction(sides: impl Iterator<Item = u32> + Clone, max_side
     let common = sides.clone().fold(0, greatest_common_divisor);
     let longest = sides.max().unwrap_or(1);
     let divides = |by: &u32| common.is_multiple_of(*by);
-    (1..=MOST_REDUCED).filter(divides).find(|by| longest / by <= max_side)
+    (1..=MAX_REDUCED).filter(divides).find(|by| longest / by <= max_side)
 }
 
 fn greatest_common_divisor(a: u32, b: u32) -> u32 {

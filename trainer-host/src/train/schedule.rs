@@ -8,7 +8,7 @@ use super::{
 };
 
 /// Shortest side of reduced photographs, pixels.
-pub(super) const LEAST_SIDE: u32 = 64;
+pub(super) const MIN_SIDE: u32 = 64;
 
 /// How the photographs shrink for a part of the training.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -18,7 +18,7 @@ impl Sizes {
     /// The reductions (a divisor each, coarsest first, 1 last) that divide `common`, which divides every
     /// side, and leave the shortest side 64 pixels at least.
     pub(super) fn of(common: u32, shortest: u32) -> Self {
-        let fits = |by: &u32| common.is_multiple_of(*by) && shortest / by >= LEAST_SIDE;
+        let fits = |by: &u32| common.is_multiple_of(*by) && shortest / by >= MIN_SIDE;
         let mut divisors: Vec<u32> = [8, 4, 2].into_iter().filter(fits).collect();
         divisors.push(1);
         Self(divisors)

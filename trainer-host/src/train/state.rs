@@ -5,15 +5,15 @@ use std::borrow::Cow;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use serde::{Deserialize, Serialize};
 
-use super::{average::Average, density::Pull, finish::Finishing, model::Model};
+use super::{average::Average, density::ViewGradients, finish::Finishing, model::Model};
 
 /// Times that training may fall back before it gives up.
-pub(super) const MOST_RETREATS: u32 = 3;
+pub(super) const MAX_ROLLBACKS: u32 = 3;
 /// A mean loss that rose by this much, of about 1 that pictures without anything in common have, has lost
 /// what was there.
-const MOST_RISE: f64 = 0.3;
+const MAX_RISE: f64 = 0.3;
 /// Most steps of a training.
-const MOST_STEPS: u32 = 1 << 30;
+const MAX_STEPS: u32 = 1 << 30;
 
 /// All that a training knows between two steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,19 +30,19 @@ pub(super) struct State {
     pub(super) size: usize,
     /// Views drawn, those passed over included.
     pub(super) drawn: u64,
-    pub(super) pull: Pull,
+    pub(super) pull: ViewGradients,
     pub(super) mean_loss: f64,
     /// Smallest running mean at this size of photographs.
     pub(super) lowest_loss: f64,
     pub(super) last_density: u32,
-    pub(super) retreats: u32,
+    pub(super) rollbacks: u32,
     pub(super) finishing: Finishing,
 }
 
 impl State {
     /// Before the first step, with `model`.
     pub(super) fn begun(model: Model) -> Self {
-        let pull = Pull::none(model.gaussians());
+        let pull = ViewGradients::none(model.gaussians());
         Self {
             model,
             average: None,
@@ -55,7 +55,7 @@ impl State {
             mean_loss: 0.0,
             lowest_loss: f64::INFINITY,
             last_density: 0,
-            retreats: 0,
+            rollbacks: 0,
             finishing: Finishing::default(),
         }
     }
@@ -70,17 +70,17 @@ impl State {
 
     /// Random numbers of this step and no other.
     pub(super) fn luck(&self, seed: u64) -> Pcg64Mcg {
-        let attempt = u64::from(self.step) | u64::from(self.retreats) << 40;
+        let attempt = u64::from(self.step) | u64::from(self.rollbacks) << 40;
         Pcg64Mcg::seed_from_u64(seed ^ attempt.wrapping_mul(0x9E37_79B9_7F4A_7C15))
     }
 
     /// What is wrong with the loss of a step, if anything is. Follows its mean.
-    pub(super) fn trouble(&mut self, loss: f64) -> Option<String> {
+    pub(super) fn divergence(&mut self, loss: f64) -> Option<String> {
         if !loss.is_finite() {
             return Some("the loss is not a number".to_owned());
         }
         self.mean_loss = if self.step == 0 { loss } else { 0.99 * self.mean_loss + 0.01 * loss };
-        let limit = (10.0 * self.lowest_loss + 0.1).min(self.lowest_loss + MOST_RISE);
+        let limit = (10.0 * self.lowest_loss + 0.1).min(self.lowest_loss + MAX_RISE);
         if self.mean_loss > limit {
             return Some(format!("the mean loss rose from {:.4} to {:.4}", self.lowest_loss, self.mean_loss));
         }
@@ -95,9 +95,9 @@ impl State {
         self.model.is_sound()
             && self.average.as_ref().is_none_or(|average| average.fits(&self.model))
             && self.pull.is_sound(self.model.gaussians())
-            && counts.iter().all(|&count| count <= MOST_STEPS)
+            && counts.iter().all(|&count| count <= MAX_STEPS)
             && self.finishing.is_sound(self.model.gaussians())
-            && self.retreats <= MOST_RETREATS
+            && self.rollbacks <= MAX_ROLLBACKS
             && !self.mean_loss.is_nan()
             && !self.lowest_loss.is_nan()
     }

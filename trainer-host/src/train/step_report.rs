@@ -18,7 +18,7 @@ pub struct StepReport {
     /// Control nodes now.
     pub nodes: usize,
     /// What made training fall back to an earlier state, if it did.
-    pub retreat: Option<String>,
+    pub rollback: Option<String>,
 }
 
 /// Parts of a step, for whoever measures them.

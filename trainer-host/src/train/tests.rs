@@ -99,14 +99,14 @@ fn what_does_not_move_is_stood_still() {
     let (standing_db, moving_db) = (psnr(&standing), psnr(&moving));
     assert!(standing_db > moving_db - 0.3, "{standing_db} {moving_db}");
 
-    let trial = stand_still::Trial { views: &dataset.train, reduced: 1, background: [0.0; 3] };
+    let trial = freeze::Trial { views: &dataset.train, reduced: 1, background: [0.0; 3] };
     // Nothing bears that the balls hang in the air.
     let mut model = moving.model().into_owned();
     let before = model.clone();
-    assert_eq!(stand_still::stand_still(&mut model, 1e3, &trial).unwrap(), 0);
+    assert_eq!(freeze::freeze_still(&mut model, 1e3, &trial).unwrap(), 0);
     assert_eq!(model, before);
     // Without a look at pictures everything would.
-    assert_eq!(model.stand_still(1e3), model.gaussians());
+    assert_eq!(model.freeze_still(1e3), model.gaussians());
 }
 
 /// Half of the time each channel is over the opposite background: an outline is found, and not only colours
@@ -253,7 +253,7 @@ fn a_finished_scene_beats_a_plain_one_of_the_same_size() {
         let scene = finished.model().scene(4, 30.0).unwrap();
         let decisions = finished.decisions().unwrap().unwrap();
         let options = encode::EncodeOptions::default();
-        let ours = encode::again(&scene, &decisions, 1.0, &options, &crate::encode::unheard).unwrap();
+        let ours = encode::again(&scene, &decisions, 1.0, &options, &crate::encode::no_progress).unwrap();
 
         let never = Finish { prune: 0.0, round_from: 1.0, ..Finish::default() };
         let plain = trained(&dataset, &TrainOptions { finish: never, seed, ..self::finished() }, 900);
@@ -261,7 +261,7 @@ fn a_finished_scene_beats_a_plain_one_of_the_same_size() {
         let bytes = ours.report.ledger.wire() as u64;
         let options = encode::EncodeOptions { target: Some(encode::Target::Bytes(bytes)), ..options };
         let theirs =
-            encode::encode(&plain.model().scene(4, 30.0).unwrap(), &options, &crate::encode::unheard)
+            encode::encode(&plain.model().scene(4, 30.0).unwrap(), &options, &crate::encode::no_progress)
                 .unwrap();
         let (ours_db, theirs_db) = (decoded_db(&ours), decoded_db(&theirs));
         let shown_db = evaluate(&finished.shown(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db;
@@ -342,11 +342,11 @@ fn a_training_that_diverges_falls_back_and_then_gives_up_by_name() {
     let mut poisoned_until_noticed = || {
         trainer.poison();
         let reports: Result<Vec<StepReport>, TrainError> = (0..100).map(|_| trainer.step(0.5)).collect();
-        reports.map(|reports| reports.into_iter().find_map(|report| report.retreat))
+        reports.map(|reports| reports.into_iter().find_map(|report| report.rollback))
     };
     for _ in 0..3 {
-        let retreat = poisoned_until_noticed().unwrap().unwrap();
-        assert!(retreat.contains("not a number"), "{retreat}");
+        let rollback = poisoned_until_noticed().unwrap().unwrap();
+        assert!(rollback.contains("not a number"), "{rollback}");
     }
     let error = poisoned_until_noticed().unwrap_err().to_string();
     assert!(error.contains("diverged at step"), "{error}");

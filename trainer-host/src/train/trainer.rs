@@ -18,20 +18,20 @@ use render_host::{
 
 use super::{
     average::Average,
-    changing::Changing,
-    density::{self, Pull, Region},
+    density::{self, Region, ViewGradients},
     error::TrainError,
     finish::{Encoding, Finisher, Pruning},
+    freeze::{self, Trial},
     gaussians::TrainedGaussians,
     model::Model,
     motion::{ControlNodes, TemporalBasis},
+    moving_region::MovingRegion,
     options::{DensityControl, TrainOptions},
     parameter::AdamStep,
     photographs::Pyramid,
     schedule,
-    stand_still::{self, Trial},
     start::{self, Extent},
-    state::{MOST_RETREATS, State},
+    state::{MAX_ROLLBACKS, State},
     step_report::{Stage, StepReport},
     views::{Dataset, Training, Views},
 };
@@ -61,7 +61,7 @@ pub struct Trainer<'a> {
     options: TrainOptions,
     region: Region<'a>,
     /// Where something moves, if photographs tell.
-    changing: Option<Changing>,
+    changing: Option<MovingRegion>,
     pyramid: Pyramid<'a>,
     state: State,
     /// What to fall back to.
@@ -116,7 +116,7 @@ impl<'a> Trainer<'a> {
             has_alpha: dataset.has_alpha,
             pyramid: Pyramid::new(photographs, options.max_side),
             options,
-            changing: moves.then(|| Changing::of(photographs)).flatten(),
+            changing: moves.then(|| MovingRegion::of(photographs)).flatten(),
             region: Region { extent, free_space: &dataset.free_space },
             fallback: state.clone(),
             finisher: Finisher::new(encoding, &state.model.gaussians),
@@ -218,7 +218,7 @@ impl<'a> Trainer<'a> {
         self.pyramid.smallest_divisor()
     }
 
-    /// Takes a step at `progress` of the training, 0 to 1, which only falls after a retreat.
+    /// Takes a step at `progress` of the training, 0 to 1, which only falls after a rollback.
     ///
     /// # Errors
     /// A view that cannot be rendered, or a training that has diverged for the fourth time.
@@ -242,18 +242,18 @@ impl<'a> Trainer<'a> {
         let mut rng = self.state.luck(self.options.seed);
         let view = self.next_view(progress);
         let loss = self.differentiate(view, progress, &mut rng, observe)?;
-        let mut retreat = self.state.trouble(loss);
-        if retreat.is_none() {
+        let mut rollback = self.state.divergence(loss);
+        if rollback.is_none() {
             self.update(view, progress, observe);
             observe(Stage::Density);
             self.control_density(progress, &mut rng);
             self.state.step += 1;
-            self.stand_still(progress)?;
+            self.freeze_still(progress)?;
             self.average(progress);
-            retreat = self.keep_or_find_trouble();
+            rollback = self.keep_or_find_divergence();
         }
-        if let Some(what) = &retreat {
-            self.retreat(what)?;
+        if let Some(what) = &rollback {
+            self.rollback(what)?;
         }
         let state = &self.state;
         Ok(StepReport {
@@ -264,7 +264,7 @@ impl<'a> Trainer<'a> {
             size: self.pyramid.size(view, state.size),
             gaussians: state.model.gaussians(),
             nodes: state.model.nodes(),
-            retreat,
+            rollback,
         })
     }
 
@@ -274,7 +274,7 @@ impl<'a> Trainer<'a> {
         let size = self.pyramid.schedule().at(&self.options.schedule, progress);
         if size != state.size {
             state.size = size;
-            state.pull = Pull::none(state.model.gaussians());
+            state.pull = ViewGradients::none(state.model.gaussians());
             state.lowest_loss = f64::INFINITY;
         }
         // While views of other times are new, the loss rises with what they show.
@@ -304,7 +304,7 @@ impl<'a> Trainer<'a> {
         let needed = finishing.pruned(options, progress, model, self.views, size_of, differentiator)?;
         if let Some(needed) = needed {
             model.select(&needed);
-            *pull = Pull::none(needed.len());
+            *pull = ViewGradients::none(needed.len());
         }
         if finishing.rounding_due(&options.finish, progress) {
             self.finisher.encode_first(&options.finish, model, finishing)?;
@@ -399,10 +399,10 @@ impl<'a> Trainer<'a> {
         // Rigidity is a sum of squared lengths: measured in extents it means the same in every scene.
         let unit = self.region.extent.half_side as f32;
         let rigidity = schedule::rigidity(&self.options, progress) / (unit * unit);
-        nodes.keep_rigid(rigidity, &poses, &mut of_nodes);
-        nodes.keep_still(self.options.stillness, &poses, &mut of_nodes);
+        nodes.add_rigidity_gradient(rigidity, &poses, &mut of_nodes);
+        nodes.add_stillness_gradient(self.options.stillness, &poses, &mut of_nodes);
         nodes.backward(time, &poses, of_nodes);
-        nodes.keep_even(self.options.smoothness, time);
+        nodes.add_smoothness_gradient(self.options.smoothness, time);
         gaussians.regularise(self.options.opacity_weight, self.options.scale_weight);
         self.finisher.price(&self.options.finish, state.step, &mut state.model);
         let Model { gaussians, nodes, .. } = &mut state.model;
@@ -411,7 +411,7 @@ impl<'a> Trainer<'a> {
         }
 
         observe(Stage::Update);
-        let caution = 0.5f32.powi(state.retreats as i32);
+        let caution = 0.5f32.powi(state.rollbacks as i32);
         let rates = schedule::attribute_rates(&self.options, progress, unit).scaled(caution);
         let step = AdamStep { rate: 0.0, first_decay: 0.9, second_decay: 0.999, number: state.step + 1 };
         gaussians.step(rates, step);
@@ -436,11 +436,11 @@ impl<'a> Trainer<'a> {
         let Model { gaussians, followed, .. } = &mut state.model;
         let from = density::control(gaussians, &state.pull, target, options.density, self.region, rng);
         *followed = from.iter().map(|&index| followed[index]).collect();
-        state.pull = Pull::none(gaussians.len());
+        state.pull = ViewGradients::none(gaussians.len());
     }
 
     /// Stands Gaussians still that hardly move, if it is time and pictures of training views bear it.
-    fn stand_still(&mut self, progress: f64) -> Result<(), TrainError> {
+    fn freeze_still(&mut self, progress: f64) -> Result<(), TrainError> {
         let stages = schedule::stands(&self.options);
         let due = stages.get(self.state.stands).is_some_and(|&at| progress >= at);
         if !due || self.state.step < STAND_STILL_FROM || !self.state.model.is_sound() {
@@ -450,7 +450,7 @@ impl<'a> Trainer<'a> {
         let reduced = self.pyramid.divisor(self.state.size);
         let trial = Trial { views: self.views, reduced, background: self.options.background };
         let most = self.options.stand_still_within * self.region.extent.half_side as f32;
-        stand_still::stand_still(&mut self.state.model, most, &trial)?;
+        freeze::freeze_still(&mut self.state.model, most, &trial)?;
         Ok(())
     }
 
@@ -466,7 +466,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// From time to time checks that every number is finite, and remembers the state to fall back to.
-    fn keep_or_find_trouble(&mut self) -> Option<String> {
+    fn keep_or_find_divergence(&mut self) -> Option<String> {
         if self.state.model.gaussians() == 0 {
             return Some("no Gaussian is left".to_owned());
         }
@@ -484,15 +484,15 @@ impl<'a> Trainer<'a> {
     }
 
     /// Falls back to the state before; from then on rates are half as large.
-    fn retreat(&mut self, what: &str) -> Result<(), TrainError> {
-        let retreats = self.state.retreats + 1;
-        if retreats > MOST_RETREATS {
+    fn rollback(&mut self, what: &str) -> Result<(), TrainError> {
+        let rollbacks = self.state.rollbacks + 1;
+        if rollbacks > MAX_ROLLBACKS {
             let (step, what) = (self.state.step, what.to_owned());
             self.state = self.fallback.clone();
-            return Err(TrainError::Diverged { step, what, retreats: MOST_RETREATS });
+            return Err(TrainError::Diverged { step, what, rollbacks: MAX_ROLLBACKS });
         }
         self.state = self.fallback.clone();
-        self.state.retreats = retreats;
+        self.state.rollbacks = rollbacks;
         self.finisher.take_up(&self.state.finishing, self.state.model.gaussians())
     }
 }

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use render_host::adjoint::loss::photograph::Photograph;
 
 use super::{
-    photographs::{MOST_REDUCED, exact_reduction},
-    schedule::LEAST_SIDE,
+    photographs::{MAX_REDUCED, exact_reduction},
+    schedule::MIN_SIDE,
     views::{Dataset, PosedPhotograph},
 };
 
@@ -56,8 +56,8 @@ fn divisor(sides: &[u32], max_side: u32) -> u32 {
     if exact_reduction(sides.iter().copied(), max_side).is_some() {
         return 1;
     }
-    let base = (1..=MOST_REDUCED).find(|by| longest / by <= max_side).unwrap_or(MOST_REDUCED);
-    let halves = [8, 4, 2].into_iter().find(|by| shortest / base / by >= LEAST_SIDE).unwrap_or(1);
+    let base = (1..=MAX_REDUCED).find(|by| longest / by <= max_side).unwrap_or(MAX_REDUCED);
+    let halves = [8, 4, 2].into_iter().find(|by| shortest / base / by >= MIN_SIDE).unwrap_or(1);
     if shortest / base == 0 { 1 } else { base * halves }
 }
 

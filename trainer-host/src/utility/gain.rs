@@ -19,12 +19,12 @@ use crate::{
 /// what a group adds elsewhere, so that none counts for nothing.
 const SHARED: f64 = 0.02;
 
-/// The cameras that gains are measured from, from where viewers look: one measuring ring.
+/// The cameras that gains are measured from, from where viewers look: one validation ring.
 ///
 /// # Errors
 /// None in practice: the size is one that cameras accept.
 pub fn gain_cameras(scene: &Scene) -> Result<Vec<Camera>, CameraError> {
-    Framing::of(scene).ring(Ring::Measuring, 8, (160, 160))
+    Framing::of(scene).ring(Ring::Validation, 8, (160, 160))
 }
 
 impl Table {
@@ -57,7 +57,7 @@ impl Table {
 mod tests {
     use super::*;
     use crate::{
-        encode::{EncodeOptions, encode, unheard},
+        encode::{EncodeOptions, encode, no_progress},
         import::{Limits, synth},
         utility::{GroupUtility, References, UtilityOptions, measure},
     };
@@ -67,9 +67,9 @@ mod tests {
         let options = synth::SynthOptions { gaussians: 1000, frames: 20, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let options = EncodeOptions { pictures: 0, ..Default::default() };
-        let stream = encode(&scene, &options, &unheard).unwrap().stream;
+        let stream = encode(&scene, &options, &no_progress).unwrap().stream;
         let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
-        let cameras = Framing::of(&scene).ring(Ring::Measuring, 2, (40, 30)).unwrap();
+        let cameras = Framing::of(&scene).ring(Ring::Validation, 2, (40, 30)).unwrap();
         let references = References::renders(&scene, &cameras, &cameras);
         let how = UtilityOptions { contexts: 1, ..UtilityOptions::paper() };
         let mut table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();

@@ -33,7 +33,8 @@ fn quantiles_interpolate() {
 fn moving() -> (Scene, Stream) {
     let options = synth::SynthOptions { gaussians: 1000, frames: 40, ..synth::SynthOptions::default() };
     let scene = synth::make(&options, &import::Limits::default()).unwrap();
-    let stream = encode(&scene, &encode::EncodeOptions::default(), &crate::encode::unheard).unwrap().stream;
+    let stream =
+        encode(&scene, &encode::EncodeOptions::default(), &crate::encode::no_progress).unwrap().stream;
     (scene, stream)
 }
 
@@ -46,7 +47,7 @@ fn job(span: &SpanCells) -> Job<'_> {
 }
 
 fn two_cameras(scene: &Scene) -> Vec<Camera> {
-    Framing::of(scene).ring(Ring::Measuring, 2, (48, 36)).unwrap()
+    Framing::of(scene).ring(Ring::Validation, 2, (48, 36)).unwrap()
 }
 
 #[test]

@@ -21,14 +21,14 @@ impl UtilityOptions {
     }
 }
 
-/// The cameras that truncation measures from: two measuring rings, as far above the horizon as below.
+/// The cameras that truncation measures from: two validation rings, as far above the horizon as below.
 ///
 /// # Errors
 /// None in practice: the size is one that cameras accept.
 pub fn truncation_cameras(scene: &Scene) -> Result<Vec<Camera>, CameraError> {
     let framing = Framing::of(scene);
-    let mut cameras = framing.ring(Ring::Measuring, 4, (160, 160))?;
-    cameras.extend(framing.upside_down().ring(Ring::Measuring, 4, (160, 160))?);
+    let mut cameras = framing.ring(Ring::Validation, 4, (160, 160))?;
+    cameras.extend(framing.upside_down().ring(Ring::Validation, 4, (160, 160))?);
     Ok(cameras)
 }
 
@@ -192,7 +192,7 @@ mod tests {
         // Equal steps for all: where steps follow what shows, the base of what is hidden is so coarse that it
         // may stick out of the shell, and finer levels put it back.
         let options = encode::EncodeOptions { pictures: 0, ..encode::EncodeOptions::default() };
-        let whole = encode::encode(&scene, &options, &crate::encode::unheard).unwrap();
+        let whole = encode::encode(&scene, &options, &crate::encode::no_progress).unwrap();
         let map = PacketMap::of(&whole.stream).unwrap();
         let received = whole.stream.receive().unwrap();
         let cameras = truncation_cameras(&scene).unwrap();
@@ -200,7 +200,8 @@ mod tests {
         let how = UtilityOptions::complete();
         let table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();
         let (cut, truncated) =
-            truncate(&scene, &whole, &table, 0.0, options.table_choices, &crate::encode::unheard).unwrap();
+            truncate(&scene, &whole, &table, 0.0, options.table_choices, &crate::encode::no_progress)
+                .unwrap();
         assert!(truncated.dropped >= 3 && truncated.wire_after < truncated.wire_before, "{truncated:?}");
         let manifest = cut.stream.manifest().unwrap();
         // The core's clusters are the small ones.
@@ -217,13 +218,14 @@ mod tests {
         .unwrap();
         assert!(0.0 < small && small < large && large.is_finite(), "{small} {large}");
         // What can be seen is no worse for it.
-        let evaluator = Evaluator::measuring(&scene, vec![0]).unwrap();
+        let evaluator = Evaluator::validation(&scene, vec![0]).unwrap();
         let (before, after) =
             (evaluator.whole(&whole.stream).unwrap(), evaluator.whole(&cut.stream).unwrap());
         assert!(after > before - 0.1, "{after} dB after {before}");
         // A price that no level pays leaves base levels; one that is no price is refused.
         let (base, _) =
-            truncate(&scene, &whole, &table, 1e9, options.table_choices, &crate::encode::unheard).unwrap();
+            truncate(&scene, &whole, &table, 1e9, options.table_choices, &crate::encode::no_progress)
+                .unwrap();
         codec_core::internals::receiver::for_each_cell(&base.stream.manifest().unwrap(), |_, _, shape| {
             assert_eq!(shape.top(), Level::BASE);
             Ok(())
@@ -231,7 +233,7 @@ mod tests {
         .unwrap();
         for lambda in [-1.0, f64::NAN] {
             let refused =
-                truncate(&scene, &whole, &table, lambda, options.table_choices, &crate::encode::unheard);
+                truncate(&scene, &whole, &table, lambda, options.table_choices, &crate::encode::no_progress);
             assert!(matches!(refused, Err(EncodeError::Lambda { .. })));
         }
     }

@@ -71,7 +71,7 @@ unsafe fn pop(slots: *const i32, base: __m256i, low: __m256i, window: __m256i, x
 /// As [`super::Vectors::run`], which brings the arguments into their ranges.
 ///
 /// # Safety
-/// `from <= to <= MOST_STEPS`, tables and offsets in the ranges that [`Lockstep`] states; the machine
+/// `from <= to <= MAX_STEPS`, tables and offsets in the ranges that [`Lockstep`] states; the machine
 /// has AVX2 and POPCNT.
 #[target_feature(enable = "avx2,popcnt")]
 pub unsafe fn run<const ENDING: bool>(
@@ -94,20 +94,20 @@ pub unsafe fn run<const ENDING: bool>(
     let tables = tables.as_ptr();
     // The first slots of both packets' tables.
     let first_slot = |step: usize, v: usize| {
-        // SAFETY: a step below `MOST_STEPS`; rows 2v and 2v + 1 of 16, v < 4, are 8 bytes.
+        // SAFETY: a step below `MAX_STEPS`; rows 2v and 2v + 1 of 16, v < 4, are 8 bytes.
         let tables = unsafe { _mm_loadl_epi64(tables.add(step).cast::<u64>().add(v).cast()) };
         _mm256_slli_epi32::<{ TABLE_BITS as i32 }>(_mm256_cvtepu8_epi32(tables))
     };
     let mut next = [core::ptr::null::<u8>(); PACKETS];
     for p in 0..PACKETS {
-        // SAFETY: an offset is at most `MOST_BYTES`, inside its buffer.
+        // SAFETY: an offset is at most `MAX_BYTES`, inside its buffer.
         next[p] = unsafe { bytes[p].as_ptr().add(words[p]) };
     }
     let low = _mm256_set1_epi32(LOW as i32);
     // The next words of both packets, more than a step takes.
     let window = |next: &[*const u8; PACKETS], v: usize| {
-        // SAFETY: a call of at most `MOST_STEPS` steps moves at most 8 bytes a step, and the buffer
-        // is `8 · MOST_STEPS + 16` longer than the largest offset it starts at.
+        // SAFETY: a call of at most `MAX_STEPS` steps moves at most 8 bytes a step, and the buffer
+        // is `8 · MAX_STEPS + 16` longer than the largest offset it starts at.
         unsafe {
             let first = _mm256_castsi128_si256(_mm_loadu_si128(next[2 * v].cast()));
             _mm256_inserti128_si256::<1>(first, _mm_loadu_si128(next[2 * v + 1].cast()))

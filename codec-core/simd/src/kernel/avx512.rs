@@ -56,7 +56,7 @@ unsafe fn pop(slots: *const i32, base: __m512i, low: __m512i, window: __m512i, x
 /// As [`super::Vectors::run`], which brings the arguments into their ranges.
 ///
 /// # Safety
-/// `from <= to <= MOST_STEPS`, tables and offsets in the ranges that [`Lockstep`] states; the machine
+/// `from <= to <= MAX_STEPS`, tables and offsets in the ranges that [`Lockstep`] states; the machine
 /// has AVX2, POPCNT and AVX-512 F,
 /// BW, DQ and VL.
 #[target_feature(enable = "avx2,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
@@ -80,20 +80,20 @@ pub unsafe fn run<const ENDING: bool>(
     let tables = tables.as_ptr();
     // The first slots of four packets' tables.
     let first_slot = |step: usize, v: usize| {
-        // SAFETY: a step below `MOST_STEPS`; rows 4v ..= 4v + 3 of 16, v < 4, are 16 bytes.
+        // SAFETY: a step below `MAX_STEPS`; rows 4v ..= 4v + 3 of 16, v < 4, are 16 bytes.
         let tables = unsafe { _mm_loadu_si128(tables.add(step).cast::<__m128i>().add(v)) };
         _mm512_slli_epi32::<TABLE_BITS>(_mm512_cvtepu8_epi32(tables))
     };
     let mut next = [core::ptr::null::<u8>(); PACKETS];
     for p in 0..PACKETS {
-        // SAFETY: an offset is at most `MOST_BYTES`, inside its buffer.
+        // SAFETY: an offset is at most `MAX_BYTES`, inside its buffer.
         next[p] = unsafe { bytes[p].as_ptr().add(words[p]) };
     }
     let low = _mm512_set1_epi32(LOW as i32);
     // The next words of the four packets, more than a step takes.
     let window = |next: &[*const u8; PACKETS], v: usize| {
-        // SAFETY: a call of at most `MOST_STEPS` steps moves at most 8 bytes a step, and the buffer
-        // is `8 · MOST_STEPS + 16` longer than the largest offset it starts at.
+        // SAFETY: a call of at most `MAX_STEPS` steps moves at most 8 bytes a step, and the buffer
+        // is `8 · MAX_STEPS + 16` longer than the largest offset it starts at.
         let of = |p: usize| unsafe { _mm_loadu_si128(next[4 * v + p].cast()) };
         let low = _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(of(0)), of(1));
         let high = _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(of(2)), of(3));

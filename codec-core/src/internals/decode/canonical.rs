@@ -110,7 +110,7 @@ pub(super) fn rest(part: &mut ClusterDecode<'_, '_>, block: usize, usable: u8) -
         let is_here = class.first_level() > Level::BASE && class.first_level() <= level;
         let is_here = is_here && carries[class.first_level().index()];
         if is_here && offset + components > rest {
-            return Err(Error::lacking("decode.sh_rest", rest, offset + components));
+            return Err(Error::too_small("decode.sh_rest", rest, offset + components));
         }
         for component in 0..components {
             let runs = runs.next(carries)?;

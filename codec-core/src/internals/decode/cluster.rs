@@ -31,12 +31,12 @@ pub(super) struct ClusterDecode<'p, 'm> {
 /// The elements `range` of the caller's memory `field`.
 pub(super) fn cut<'s, T>(field: &'static str, all: &'s mut [T], range: Range<usize>) -> Result<&'s mut [T]> {
     let (have, need) = (all.len(), range.end);
-    all.get_mut(range).ok_or_else(|| Error::lacking(field, have, need))
+    all.get_mut(range).ok_or_else(|| Error::too_small(field, have, need))
 }
 
 /// The symbols of a cell.
 pub(super) fn symbols_of<'m>(content: &Content<'m>, cell: Cell, shape: &Shape) -> Result<&'m [i16]> {
     let (start, all) = (cell.symbols as usize, content.symbols);
     let end = start + shape.len();
-    all.get(start..end).ok_or_else(|| Error::lacking("memory.symbols", all.len(), end))
+    all.get(start..end).ok_or_else(|| Error::too_small("memory.symbols", all.len(), end))
 }

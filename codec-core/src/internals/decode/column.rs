@@ -57,7 +57,7 @@ impl<'s> Runs<'s> {
             let (at, len) = shape.range(l, block..block + 1);
             *rest = symbols
                 .get(at..at + len)
-                .ok_or_else(|| Error::lacking("memory.symbols", symbols.len(), at + len))?;
+                .ok_or_else(|| Error::too_small("memory.symbols", symbols.len(), at + len))?;
         }
         Ok(Self { rest, levels: level.index() + 1, n: shape.block_gaussians(block) })
     }
@@ -72,7 +72,8 @@ impl<'s> Runs<'s> {
         for ((run, rest), carries) in runs.iter_mut().zip(&mut self.rest).take(self.levels).zip(carries) {
             if carries {
                 let halves = rest.split_at_checked(self.n);
-                (*run, *rest) = halves.ok_or_else(|| Error::lacking("memory.symbols", rest.len(), self.n))?;
+                (*run, *rest) =
+                    halves.ok_or_else(|| Error::too_small("memory.symbols", rest.len(), self.n))?;
             }
         }
         Ok(runs)

@@ -12,7 +12,7 @@ use super::{
     column::{Column, Runs, SPAN, Values, carrying_levels, each, triple},
 };
 use crate::{
-    closure::bending_level,
+    closure::coefficient_level,
     error::{Error, Result},
     gaussian::Gaussian,
     ids::{EpochId, Level, Span, WindowId},
@@ -49,7 +49,7 @@ impl Frame {
             let index = window.basis_first as usize + r * usize::from(window.frames) + t as usize;
             let all = manifest.head().basis_values as usize;
             *weight =
-                manifest.basis(index).ok_or_else(|| Error::lacking("manifest.basis", all, index + 1))?;
+                manifest.basis(index).ok_or_else(|| Error::too_small("manifest.basis", all, index + 1))?;
         }
         Ok(Some(Self { id, cosine: cosine(u32::from(window.frames), t), learned }))
     }
@@ -58,7 +58,7 @@ impl Frame {
 /// Window `id`, which the stream must have.
 fn window_of(manifest: &Manifest<'_>, id: WindowId) -> Result<Window> {
     let have = usize::from(manifest.head().windows);
-    manifest.window(id).ok_or_else(|| Error::lacking("manifest.windows", have, id.index() + 1))
+    manifest.window(id).ok_or_else(|| Error::too_small("manifest.windows", have, id.index() + 1))
 }
 
 /// More coefficients than a window can have.
@@ -124,7 +124,7 @@ pub fn pose(shape: &Shape, symbols: &[i16], cosine: &[f32; MAX_WINDOW_FRAMES]) -
     let track = shape.motion.class();
     let count = track.turning() * usize::from(shape.motion.track);
     let halves = symbols.split_at_checked(count);
-    let (turns, moves) = halves.ok_or_else(|| Error::lacking("memory.symbols", symbols.len(), count))?;
+    let (turns, moves) = halves.ok_or_else(|| Error::too_small("memory.symbols", symbols.len(), count))?;
     let (rows, rotation) = match track {
         Track::Static => return Ok(Pose::IDENTITY),
         Track::Rigid => {
@@ -196,8 +196,8 @@ pub(super) fn apply(part: &mut ClusterDecode<'_, '_>, frame: &Frame) -> Result<(
     }
     for block in 0..shape.blocks() {
         let (motion, canonical) = (content.arrived(cell, block)?, content.arrived(part.cell, block)?);
-        if let Some(level) = bending_level(motion, canonical) {
-            bend(part, &shape, cell, block, level, frame)?;
+        if let Some(level) = coefficient_level(motion, canonical) {
+            apply_coefficients(part, &shape, cell, block, level, frame)?;
         }
     }
     Ok(())
@@ -218,7 +218,7 @@ fn track(
         return Ok(None);
     }
     let (symbols, len) = (symbols_of(part.content, cell, shape)?, shape.level_len(Level::BASE));
-    let symbols = symbols.get(..len).ok_or_else(|| Error::lacking("memory.symbols", symbols.len(), len))?;
+    let symbols = symbols.get(..len).ok_or_else(|| Error::too_small("memory.symbols", symbols.len(), len))?;
     pose(shape, symbols, cosine).map(Some)
 }
 
@@ -246,7 +246,7 @@ fn earlier_pose(part: &ClusterDecode<'_, '_>, frame: &Frame) -> Result<Option<Po
 }
 
 /// Adds the per-Gaussian coefficients of one block.
-fn bend(
+fn apply_coefficients(
     part: &mut ClusterDecode<'_, '_>,
     shape: &Shape,
     cell: Cell,

@@ -34,7 +34,8 @@ pub(super) fn dequantise(part: &mut ClusterDecode<'_, '_>, t: u32, usable: usize
     for (symbols, level) in levels.iter_mut().zip(Level::ALL) {
         let (start, len) = (part.shape.range(level, 0..1).0, part.shape.level_len(level));
         let found = part.symbols.get(start..start + len);
-        *symbols = found.ok_or_else(|| Error::lacking("memory.symbols", part.symbols.len(), start + len))?;
+        *symbols =
+            found.ok_or_else(|| Error::too_small("memory.symbols", part.symbols.len(), start + len))?;
     }
     let frames = part.epoch.frames as usize;
     let cluster = ClusterValues {
@@ -97,7 +98,7 @@ impl ClusterValues<'_> {
     #[cold]
     fn short(&self) -> Error {
         let symbols = self.levels.iter().map(|symbols| symbols.len()).sum();
-        Error::lacking("memory.symbols", symbols, symbols + 1)
+        Error::too_small("memory.symbols", symbols, symbols + 1)
     }
 
     /// Position of Gaussian `i`.

@@ -141,10 +141,10 @@ impl Model {
     fn symbol(&mut self, side: &mut impl Decisions, context: Context, value: i16) -> Result<i16> {
         let magnitude = u32::from(value.unsigned_abs());
         let wanted = u32::BITS - magnitude.leading_zeros();
-        let lacking = Error::illegal("chunk.symbol", 0, context.attribute as u64, (0, 4));
+        let too_small = Error::illegal("chunk.symbol", 0, context.attribute as u64, (0, 4));
         if let Some(before) = context.before {
-            let changes = self.changes.get_mut(context.attribute).ok_or(lacking)?;
-            let changes = changes.get_mut(usize::from(context.left_repeats)).ok_or(lacking)?;
+            let changes = self.changes.get_mut(context.attribute).ok_or(too_small)?;
+            let changes = changes.get_mut(usize::from(context.left_repeats)).ok_or(too_small)?;
             let yes = side.pass(changes.slots(), value != before)?;
             changes.follow(yes);
             if !yes {
@@ -153,7 +153,7 @@ impl Model {
         }
         let longer = self.longer.get_mut(context.attribute).and_then(|a| a.get_mut(context.size));
         let mut length = 0u32;
-        for probability in longer.ok_or(lacking)? {
+        for probability in longer.ok_or(too_small)? {
             let yes = side.pass(probability.slots(), wanted > length)?;
             probability.follow(yes);
             if !yes {
@@ -165,10 +165,10 @@ impl Model {
             return Ok(0);
         }
         let negative = self.negative.get_mut(context.attribute).and_then(|a| a.get_mut(context.sign));
-        let negative = negative.ok_or(lacking)?;
+        let negative = negative.ok_or(too_small)?;
         let minus = side.pass(negative.slots(), value < 0)?;
         negative.follow(minus);
-        let below = self.below.get_mut(length as usize).ok_or(lacking)?;
+        let below = self.below.get_mut(length as usize).ok_or(too_small)?;
         let mut found = 1u32;
         for bit in (0..length - 1).rev() {
             let wanted = magnitude >> bit & 1 == 1;

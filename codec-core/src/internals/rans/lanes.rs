@@ -40,7 +40,7 @@ pub const LANES: usize = 4;
 /// Bytes in front of the words.
 pub const HEAD_BYTES: usize = 3;
 /// Fewest bytes of a plane: four states of 15 bits.
-pub const LEAST_PLANE_BYTES: usize = 8;
+pub const MIN_PLANE_BYTES: usize = 8;
 /// Least state a lane starts from: what is above 1 is the integrity check, what is below a loss.
 pub const TAIL_START: u32 = 8;
 /// log2 of the least state outside the tail.
@@ -76,7 +76,7 @@ impl<'a> Parts<'a> {
     /// packet, or padding that is not zero.
     pub fn of(body: &'a [u8], values: usize, raw_bits: usize) -> Result<Self> {
         let short = |needed| Error::short("body", 0, body.len(), needed);
-        let least = HEAD_BYTES + LEAST_PLANE_BYTES;
+        let least = HEAD_BYTES + MIN_PLANE_BYTES;
         let Some((&[tail, low, high], rest)) = body.split_first_chunk::<HEAD_BYTES>() else {
             return Err(short(least));
         };

@@ -109,24 +109,24 @@ impl Receiver<'_> {
         let manifest = &self.manifest;
         let group = ChunkGroup::of(manifest, chunk)?;
         let Memory { cells, symbols, blocks, slots, progress, .. } = &mut self.memory;
-        let lacking = |field| Error::illegal(field, 0, 0, (1, 1)).kind(ErrorKind::Capacity);
-        let cell = *cells.get(usize::from(chunk.cluster)).ok_or(lacking("memory.cells"))?;
+        let too_small = |field| Error::illegal(field, 0, 0, (1, 1)).kind(ErrorKind::Capacity);
+        let cell = *cells.get(usize::from(chunk.cluster)).ok_or(too_small("memory.cells"))?;
         let (level_start, _) = group.shape.range(chunk.level, 0..1);
         let group_start = cell.symbols as usize + level_start;
         let start = group_start + chunk.first_symbol as usize;
         let range = start..start + usize::from(chunk.symbols);
         let groups = manifest.cells() * Level::COUNT;
-        let (counters, marks) = progress.split_at_mut_checked(groups).ok_or(lacking("memory.progress"))?;
-        let counter = counters.get_mut(group.number).ok_or(lacking("memory.progress"))?;
+        let (counters, marks) = progress.split_at_mut_checked(groups).ok_or(too_small("memory.progress"))?;
+        let counter = counters.get_mut(group.number).ok_or(too_small("memory.progress"))?;
         let words = range.start / 32..range.end.div_ceil(32);
         let first_word = words.start;
-        let marks = marks.get_mut(words).ok_or(lacking("memory.progress"))?;
+        let marks = marks.get_mut(words).ok_or(too_small("memory.progress"))?;
         if let Some(symbol) = first_mark(marks, first_word, &range) {
             let found = (symbol - group_start) as u64;
             let twice = Error::illegal("chunk.first_symbol", 14, found, (found, found));
             return Err(twice.kind(ErrorKind::Duplicate));
         }
-        let target = symbols.get_mut(range.clone()).ok_or(lacking("memory.symbols"))?;
+        let target = symbols.get_mut(range.clone()).ok_or(too_small("memory.symbols"))?;
         match manifest.chunk_coder() {
             #[cfg(feature = "paper-context")]
             Some(crate::wire::manifest::ChunkCoder::Context) => {
@@ -136,13 +136,13 @@ impl Receiver<'_> {
                 let [low, high] = manifest.byte_tables(chunk.cluster.into(), chunk.level)?;
                 let slots: &mut [u8] = bytemuck::cast_slice_mut(slots);
                 let slots = slots.as_chunks_mut::<{ bytes::SLOTS }>().0.first_chunk_mut();
-                let [low_slots, high_slots] = slots.ok_or(lacking("memory.slots"))?;
+                let [low_slots, high_slots] = slots.ok_or(too_small("memory.slots"))?;
                 low.fill_slots(low_slots);
                 high.fill_slots(high_slots);
                 bytes::decode(chunk.payload, [&low, &high], [low_slots, high_slots], target)?;
             }
         }
-        let mask = blocks.get_mut(cell.blocks as usize).ok_or(lacking("memory.blocks"))?;
+        let mask = blocks.get_mut(cell.blocks as usize).ok_or(too_small("memory.blocks"))?;
         mark(marks, first_word, &range);
         *counter += u32::from(chunk.symbols);
         if u64::from(*counter) == group.len {

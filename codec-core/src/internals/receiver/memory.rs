@@ -192,7 +192,7 @@ impl<'m> Content<'m> {
     /// [`ErrorKind::Capacity`](crate::ErrorKind::Capacity): there is no such cell.
     pub fn cell_in_lattice(&self, span: Span, cluster: ClusterId) -> Result<Cell> {
         let (have, need) = (self.cells.len(), self.manifest.cells());
-        self.cell(span, cluster).ok_or_else(|| Error::lacking("memory.cells", have, need))
+        self.cell(span, cluster).ok_or_else(|| Error::too_small("memory.cells", have, need))
     }
 
     /// Levels of block `block` of a cell that have arrived.
@@ -201,7 +201,7 @@ impl<'m> Content<'m> {
     /// [`ErrorKind::Capacity`](crate::ErrorKind::Capacity): the state has no such block.
     pub fn arrived(&self, cell: Cell, block: usize) -> Result<Arrived> {
         let (have, at) = (self.blocks.len(), cell.blocks as usize + block);
-        let mask = self.blocks.get(at).ok_or_else(|| Error::lacking("memory.blocks", have, at + 1));
+        let mask = self.blocks.get(at).ok_or_else(|| Error::too_small("memory.blocks", have, at + 1));
         mask.copied().map(Arrived)
     }
 }
@@ -216,7 +216,7 @@ mod tests {
         arena::Plan,
         error::ErrorKind,
         receiver::Receiver,
-        wire::{crc::crc32, file, manifest::Sealed},
+        wire::{crc::crc32, file, manifest::ManifestHead},
     };
 
     /// All of `list` but its first element.
@@ -228,7 +228,7 @@ mod tests {
     #[test]
     fn memory_that_is_short_is_named() {
         let (message, _) = file::parts(include_bytes!("../../../tests/conformance/one.dgs")).unwrap();
-        let sealed = Sealed::parse(message).unwrap();
+        let sealed = ManifestHead::parse(message).unwrap();
         let mut raw = vec![0; sealed.raw_len];
         sealed.open(message, crc32, &mut raw).unwrap();
         let manifest = Manifest::parse(&raw).unwrap();

@@ -152,8 +152,8 @@ impl Sink for DecodeInPlace<'_, '_> {
             let (table, &raw_bits) = table.zip(raw_bits).ok_or(no_table(index))?;
             let room = rest.len();
             let halves = core::mem::take(&mut rest).split_at_mut_checked(len);
-            let lacking = Error::short("memory.symbols", 0, room, len).kind(ErrorKind::Capacity);
-            let (run, tail) = halves.ok_or(lacking)?;
+            let too_small = Error::short("memory.symbols", 0, room, len).kind(ErrorKind::Capacity);
+            let (run, tail) = halves.ok_or(too_small)?;
             rest = tail;
             table.run(&mut self.decoder, raw_bits, run)
         })
@@ -169,8 +169,8 @@ impl Sink for CopyValues<'_> {
     fn take(&mut self, slice: Slice<'_>) -> Result<()> {
         slice.check_free()?;
         let wanted = slice.symbols.len();
-        let lacking = Error::short("body.values", 0, self.rest.len(), wanted);
-        let (values, tail) = self.rest.split_at_checked(wanted).ok_or(lacking)?;
+        let too_small = Error::short("body.values", 0, self.rest.len(), wanted);
+        let (values, tail) = self.rest.split_at_checked(wanted).ok_or(too_small)?;
         slice.symbols.copy_from_slice(values);
         self.rest = tail;
         Ok(())

@@ -102,7 +102,7 @@ impl Places<'_, '_> {
         let (all_cells, need) = (self.cells, range.end() + 1);
         let found = all_cells.get(range).and_then(|cells| Some((cells, cells.get(1..)?)));
         let Some((cells @ [Cell { blocks: start, .. }, ..], ends @ [.., last])) = found else {
-            return Err(Error::lacking("memory.cells", all_cells.len(), need));
+            return Err(Error::too_small("memory.cells", all_cells.len(), need));
         };
         let all = last.blocks - start;
         if extent.first >= all {
@@ -148,7 +148,7 @@ impl Places<'_, '_> {
 /// `len` elements of `memory` from `start`.
 fn at<'m, T>(memory: &'m mut [T], start: usize, len: usize, field: &'static str) -> Result<&'m mut [T]> {
     let (have, end) = (memory.len(), start + len);
-    memory.get_mut(start..end).ok_or_else(|| Error::lacking(field, have, end))
+    memory.get_mut(start..end).ok_or_else(|| Error::too_small(field, have, end))
 }
 
 /// Whether two extents bring the same level of the same block.

@@ -49,7 +49,7 @@ impl<'a> Checked<'a> {
     ///
     /// # Errors
     /// Another length, or what [`Packet::parse`] refuses.
-    pub fn vouched(bytes: &'a [u8]) -> Result<Self> {
+    pub fn without_crc_check(bytes: &'a [u8]) -> Result<Self> {
         in_range("packet", 0, bytes.len() as u64, 1, MAX_PACKET_BYTES as u64)?;
         let (content, _) = bytes.split_last_chunk::<CRC_BYTES>().ok_or(Error::short(
             "packet.crc",

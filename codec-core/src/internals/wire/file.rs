@@ -15,7 +15,7 @@
 use super::{
     checked::Checked,
     crc::{CRC_BYTES, Crc32, RunningCrc, checked, crc32},
-    manifest::{Manifest, Sealed},
+    manifest::{Manifest, ManifestHead},
 };
 use crate::{
     cursor::{Reader, in_range},
@@ -42,7 +42,7 @@ pub fn manifest(file: &[u8]) -> Result<(&[u8], usize)> {
     let len = reader.u32("file.manifest_len")?;
     in_range("file.manifest_len", 4, len, 1, MAX_MANIFEST_BYTES as u32 + 20)?;
     let message = reader.bytes("file.manifest", len as usize)?;
-    let sealed = Sealed::parse(message).map_err(|e| Error { offset: e.offset + 8, ..e })?;
+    let sealed = ManifestHead::parse(message).map_err(|e| Error { offset: e.offset + 8, ..e })?;
     let len = u64::from(len);
     in_range("file.manifest_len", 4, sealed.wire_len as u64, len, len)
         .map_err(|e| e.kind(ErrorKind::Contradiction))?;
@@ -131,7 +131,7 @@ impl<'a> Iterator for Packets<'a> {
         if let Some(packet) = self.packet_at(self.at) {
             let start = self.at + 2;
             self.at = start + packet.len();
-            return Some(match Checked::vouched(packet) {
+            return Some(match Checked::without_crc_check(packet) {
                 Ok(packet) => Record::Packet(start, packet),
                 Err(error) => Record::Illegal(start, packet.len(), error),
             });

@@ -21,7 +21,7 @@ mod view;
 pub use profile::{ChunkCoder, PAPER_CONTEXT, Profile};
 pub use proxy::Proxy;
 pub use record::{Cluster, Epoch, Head, Motion, Quant, Repair, Track, Window, block_len};
-pub use seal::{HEADER_BYTES, MAGIC, Sealed, VERSION, open, seal};
+pub use seal::{HEADER_BYTES, MAGIC, ManifestHead, VERSION, open, seal};
 pub use table_set::{MAX_TABLE_SET_BITS, TableSet};
 pub use view::Manifest;
 pub(crate) use view::Outline;

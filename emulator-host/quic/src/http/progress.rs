@@ -13,7 +13,7 @@ use tokio::{
 };
 
 /// Bytes that must pass within the bound while a write waits.
-const LEAST_BYTES: usize = 16 << 10;
+const MIN_BYTES: usize = 16 << 10;
 
 /// A connection on which writing must make progress: at least 16 KiB within `bound`, or all there is.
 #[derive(Debug)]
@@ -37,7 +37,7 @@ impl<S: AsyncWrite + Unpin> Progress<S> {
             Poll::Ready(Ok(bytes)) => {
                 if let Some((_, passed)) = &mut self.waiting {
                     *passed += bytes;
-                    if *passed >= LEAST_BYTES {
+                    if *passed >= MIN_BYTES {
                         self.waiting = None;
                     }
                 }

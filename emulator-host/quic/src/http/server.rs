@@ -26,10 +26,10 @@ use super::{
     site::Site,
     upgrade,
 };
-use crate::socket::Entrance;
+use crate::socket::WebSocketAcceptor;
 
 /// How long answers may take to end when the server closes.
-const FAREWELL: Duration = Duration::from_secs(2);
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 /// How long to wait when the system gives no more connections.
 const EXHAUSTED: Duration = Duration::from_millis(50);
 
@@ -98,7 +98,7 @@ struct Counts {
 pub struct HttpServer {
     listener: TcpListener,
     site: Arc<Site>,
-    entrance: Option<Entrance>,
+    entrance: Option<WebSocketAcceptor>,
     limits: HttpLimits,
     counts: Arc<Counts>,
 }
@@ -121,7 +121,7 @@ impl HttpServer {
 
     /// Lets WebSockets under `/session` in through `entrance`.
     #[must_use]
-    pub fn with_sessions(self, entrance: Entrance) -> Self {
+    pub fn with_sessions(self, entrance: WebSocketAcceptor) -> Self {
         Self { entrance: Some(entrance), ..self }
     }
 
@@ -159,7 +159,7 @@ impl HttpServer {
         drop(self.listener);
         let _ = closing.send(true);
         let all = async { while tasks.join_next().await.is_some() {} };
-        let _ = timeout(FAREWELL, all).await;
+        let _ = timeout(CLOSE_TIMEOUT, all).await;
         tasks.shutdown().await;
         report.requests = self.counts.requests.load(Ordering::Relaxed);
         report.slow = self.counts.slow.load(Ordering::Relaxed);
@@ -171,7 +171,7 @@ impl HttpServer {
 /// What a connection's requests are answered from.
 struct Answering {
     site: Arc<Site>,
-    entrance: Option<Entrance>,
+    entrance: Option<WebSocketAcceptor>,
     address: SocketAddr,
     counts: Arc<Counts>,
 }

@@ -20,7 +20,7 @@ use tokio_tungstenite::{
 };
 
 use super::answer::Answer;
-use crate::socket::{Entrance, socket_config};
+use crate::socket::{WebSocketAcceptor, socket_config};
 
 /// Where sessions are.
 pub(super) const PATH: &str = "/session";
@@ -35,7 +35,7 @@ const KEY_LENGTH: usize = 24;
 /// None in practice: every field is made of legal characters.
 pub(super) fn upgrade(
     request: &mut Request<Incoming>,
-    entrance: &Entrance,
+    entrance: &WebSocketAcceptor,
     address: SocketAddr,
 ) -> Result<Answer, http::Error> {
     let key = match key(request.method(), request.headers()) {

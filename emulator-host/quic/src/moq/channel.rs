@@ -13,7 +13,7 @@ use super::{
     track::{LEVELS, Track},
     units::{Levels, Units},
 };
-use crate::socket::Offer;
+use crate::socket::ServedStream;
 
 /// What was published under one name.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -58,7 +58,11 @@ pub(super) struct Channel {
 
 impl Channel {
     /// Announces `offer` as `name`, with nothing but its manifest yet.
-    pub(super) fn new(name: &str, offer: &Offer, origin: &origin::Producer) -> Result<Self, ChannelError> {
+    pub(super) fn new(
+        name: &str,
+        offer: &ServedStream,
+        origin: &origin::Producer,
+    ) -> Result<Self, ChannelError> {
         let refused = |what: String| ChannelError { name: name.to_owned(), what };
         let message = offer.message();
         let waiting = Waiting::new(Caps::HOST).map_err(|error| refused(error.to_string()))?;

@@ -18,7 +18,7 @@ use super::{
     track::Track,
 };
 use crate::socket::{
-    ClientConfig, PlayError, Playback, Played, RoundWish, Screen,
+    ClientConfig, FrameSink, PlayError, Playback, Played, RoundRequest,
     message::{MAX_MANIFEST_BYTES, StreamChoice},
     play_over,
 };
@@ -32,7 +32,11 @@ const MAX_GROUPS: usize = 16;
 
 /// Plays the broadcast that `config` names on `screen`, until the clip or its time is over or `stop` ends.
 /// It begins with what is shown there now, and ends with the clip unless that is to be repeated.
-pub async fn play(config: &ClientConfig, screen: &mut dyn Screen, stop: impl Future<Output = ()>) -> Played {
+pub async fn play(
+    config: &ClientConfig,
+    screen: &mut dyn FrameSink,
+    stop: impl Future<Output = ()>,
+) -> Played {
     play_over(config, screen, stop, session).await
 }
 
@@ -50,7 +54,7 @@ enum Arrival {
 async fn session(
     config: &ClientConfig,
     playback: &mut Playback,
-    screen: &mut dyn Screen,
+    screen: &mut dyn FrameSink,
 ) -> Result<(), PlayError> {
     let StreamChoice::Name(name) = &config.locator.stream else {
         let sentence = "the address names no broadcast: moq+https://HOST:PORT/NAME";
@@ -79,7 +83,7 @@ async fn session(
 async fn watch(
     config: &ClientConfig,
     playback: &mut Playback,
-    screen: &mut dyn Screen,
+    screen: &mut dyn FrameSink,
     (consumer, name, tasks): (&origin::Consumer, &str, &mut JoinSet<()>),
 ) -> Result<(), PlayError> {
     let unpublished = || PlayError::Unpublished { name: name.to_owned(), ms: config.silence.as_millis() };
@@ -110,7 +114,7 @@ async fn watch(
             }
             // Its last frame is shown as long as the others.
             if playback.next_time().is_none_or(|ends| Instant::now() >= ends) {
-                playback.next_round(RoundWish::default())?;
+                playback.next_round(RoundRequest::default())?;
                 continue;
             }
         }

@@ -12,10 +12,10 @@ use super::{
     numbering::LEAD,
     relay::{Relay, close, origin},
 };
-use crate::socket::{ClientConfig, Locator, Offer, PlayError, Trust, message::StreamChoice};
+use crate::socket::{ClientConfig, Locator, PlayError, ServedStream, Trust, message::StreamChoice};
 
 /// Longest wait before a lost relay is tried again; the first is a second, each the double of the last.
-const MOST_PAUSE: Duration = Duration::from_secs(16);
+const MAX_PAUSE: Duration = Duration::from_secs(16);
 
 /// Where to publish, and how.
 #[derive(Clone, Debug)]
@@ -56,7 +56,7 @@ pub enum PublishError {
 
 /// What happens meanwhile.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum News {
+pub enum PublishEvent {
     /// The relay takes broadcasts, by this version of the protocol.
     Connected {
         /// Its name.
@@ -88,9 +88,9 @@ pub struct PublishReport {
 /// A relay that is not reached the first time, and what cannot be published.
 pub async fn publish(
     config: &PublishConfig,
-    offers: &[Offer],
+    offers: &[ServedStream],
     stop: impl Future<Output = ()>,
-    news: impl FnMut(&News),
+    news: impl FnMut(&PublishEvent),
 ) -> Result<PublishReport, PublishError> {
     let (origin, driver) = origin();
     let mut channels = Vec::new();
@@ -110,7 +110,7 @@ pub async fn publish(
 }
 
 /// What the broadcast of `offer` is called.
-fn name(config: &PublishConfig, offer: &Offer, streams: usize) -> Result<String, PublishError> {
+fn name(config: &PublishConfig, offer: &ServedStream, streams: usize) -> Result<String, PublishError> {
     match &config.relay.stream {
         StreamChoice::Name(name) if streams == 1 => Ok(name.clone()),
         StreamChoice::Name(name) => Err(PublishError::Name { name: name.clone(), streams }),
@@ -122,7 +122,7 @@ fn name(config: &PublishConfig, offer: &Offer, streams: usize) -> Result<String,
 async fn connections(
     config: &PublishConfig,
     origin: &origin::Producer,
-    mut news: impl FnMut(&News),
+    mut news: impl FnMut(&PublishEvent),
     report: &mut PublishReport,
 ) -> Result<(), PublishError> {
     let silence = config.silence;
@@ -132,7 +132,7 @@ async fn connections(
         let reason = match Relay::connect(&client, Client::new().with_publisher(origin)).await {
             Ok(relay) => {
                 let version = relay.session.version().as_str().to_owned();
-                news(&News::Connected { version: version.clone() });
+                news(&PublishEvent::Connected { version: version.clone() });
                 report.connections += 1;
                 report.version = Some(version);
                 pause = Duration::from_secs(1);
@@ -145,9 +145,9 @@ async fn connections(
             Err(error) if report.connections == 0 => return Err(error.into()),
             Err(error) => error.to_string(),
         };
-        news(&News::Lost { reason, pause });
+        news(&PublishEvent::Lost { reason, pause });
         sleep(pause).await;
-        pause = (2 * pause).min(MOST_PAUSE);
+        pause = (2 * pause).min(MAX_PAUSE);
     }
 }
 

@@ -23,7 +23,7 @@ use web_transport_quinn::Request;
 
 use super::{play, relay::origin, track::Track};
 use crate::socket::{
-    ClientConfig, Headless, Identity, Locator, PlayError, Played, Scheme, Trust, message::StreamChoice,
+    ClientConfig, Identity, Locator, NullSink, PlayError, Played, Scheme, Trust, message::StreamChoice,
 };
 
 /// A small stream of a few frames.
@@ -111,7 +111,7 @@ fn played(given: &[Given]) -> Played {
     Runtime::new().unwrap().block_on(async {
         let relay = Hostile::start(given);
         let config = relay.client();
-        timeout(limit, play(&config, &mut Headless, std::future::pending())).await.unwrap()
+        timeout(limit, play(&config, &mut NullSink, std::future::pending())).await.unwrap()
     })
 }
 
@@ -144,7 +144,7 @@ fn packets_that_come_before_the_manifest_wait_for_it() {
             sleep(Duration::from_millis(300)).await;
             give(&relay.tracks[0], 0, &[stream().message().to_vec()]);
         };
-        let (limit, mut screen) = (Duration::from_secs(60), Headless);
+        let (limit, mut screen) = (Duration::from_secs(60), NullSink);
         let playing = timeout(limit, play(&config, &mut screen, std::future::pending()));
         tokio::join!(playing, late).0.unwrap().whole().unwrap()
     });

@@ -6,15 +6,15 @@ use bytes::Bytes;
 use quinn::{SendDatagramError, SendStream};
 
 use super::{
-    channel::{self, Channel, Closed, Ending, Path},
+    channel::{self, Channel, Closed, Path, QuicCloser},
     control::{Control, Source},
     message::ClientMessage,
-    web_socket::{self, Socket, SocketChannel, SocketEnding, SocketWriter},
+    web_socket::{self, Socket, SocketChannel, SocketCloser, SocketWriter},
 };
 
 /// What a session runs on.
 #[derive(Debug)]
-pub(super) enum Carrier {
+pub(super) enum SessionTransport {
     Quic(Channel),
     Socket(SocketChannel),
 }
@@ -29,12 +29,12 @@ pub(super) enum NotSent {
 }
 
 /// Is ready once a datagram has left.
-pub(super) type Departure<'c> = Pin<Box<dyn Future<Output = Result<(), NotSent>> + Send + 'c>>;
+pub(super) type SendFuture<'c> = Pin<Box<dyn Future<Output = Result<(), NotSent>> + Send + 'c>>;
 
 /// How a session comes to its end, from either side.
-pub(super) enum CarrierEnding {
-    Quic(Ending),
-    Socket(SocketEnding),
+pub(super) enum SessionCloser {
+    Quic(QuicCloser),
+    Socket(SocketCloser),
 }
 
 /// The writing half of a control stream.
@@ -44,24 +44,28 @@ pub(super) enum ControlWriter {
 }
 
 /// A carrier, its end, and both halves of its control stream.
-pub(super) type Opened = (Carrier, CarrierEnding, ControlWriter, Control<ClientMessage>);
+pub(super) type Opened = (SessionTransport, SessionCloser, ControlWriter, Control<ClientMessage>);
 
 /// What QUIC carries.
 pub(super) fn by_quic((channel, ending, (send, receive)): channel::Opened) -> Opened {
     let control = Control::new(receive);
-    (Carrier::Quic(channel), CarrierEnding::Quic(ending), ControlWriter::Quic(send), control)
+    (SessionTransport::Quic(channel), SessionCloser::Quic(ending), ControlWriter::Quic(send), control)
 }
 
 /// What a WebSocket carries, as long as what comes beside it is polled.
 pub(super) fn by_socket(socket: Socket, address: SocketAddr) -> (Opened, impl Future<Output = ()> + Send) {
     let (channel, ending, writer, control, carrying) = web_socket::open(socket, address);
     let control = Control::of(Source::Socket(control));
-    let opened =
-        (Carrier::Socket(channel), CarrierEnding::Socket(ending), ControlWriter::Socket(writer), control);
+    let opened = (
+        SessionTransport::Socket(channel),
+        SessionCloser::Socket(ending),
+        ControlWriter::Socket(writer),
+        control,
+    );
     (opened, carrying)
 }
 
-impl Carrier {
+impl SessionTransport {
     /// Where the viewer is.
     pub(super) fn address(&self) -> SocketAddr {
         match self {
@@ -115,7 +119,7 @@ impl Carrier {
     }
 
     /// Becomes ready once the transport has taken the datagram.
-    pub(super) fn send_when_there_is_room(&self, bytes: Bytes) -> Departure<'_> {
+    pub(super) fn send_when_there_is_room(&self, bytes: Bytes) -> SendFuture<'_> {
         match self {
             Self::Quic(channel) if channel.sends_in_streams() => {
                 Box::pin(async move { channel.send_as_stream(bytes).await.map_err(NotSent::Closed) })
@@ -144,7 +148,7 @@ impl Carrier {
     }
 }
 
-impl CarrierEnding {
+impl SessionCloser {
     /// Waits until the peer has closed, or the connection is gone. Dropping the future loses nothing.
     pub(super) async fn closed(&mut self) -> Closed {
         match self {

@@ -21,7 +21,7 @@ use super::{
 };
 
 /// How long a peer may take to hear why a WebTransport session is closed.
-const FAREWELL: Duration = Duration::from_millis(500);
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Why a connection or the session on it is over.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -96,20 +96,20 @@ pub(super) struct Channel {
 }
 
 /// How a session comes to its end, from either side.
-pub(super) struct Ending {
+pub(super) struct QuicCloser {
     connection: Connection,
-    web: Option<Box<WebEnding>>,
+    web: Option<Box<WebCloser>>,
 }
 
 /// The session to close, and what becomes of it when the peer does.
-struct WebEnding {
+struct WebCloser {
     session: WebSession,
     /// Nothing once the peer has.
     closing: Option<Closing>,
 }
 
 /// A channel, its end, and its control stream.
-pub(super) type Opened = (Channel, Ending, (SendStream, RecvStream));
+pub(super) type Opened = (Channel, QuicCloser, (SendStream, RecvStream));
 
 impl Channel {
     /// Waits for the control stream of a client, by the protocol that it has chosen in the handshake.
@@ -151,8 +151,8 @@ impl Channel {
             outgoing: OutgoingMedia::new(connection, stream_head),
             incoming: None,
         };
-        let web = web.map(|(session, closing)| Box::new(WebEnding { session, closing: Some(closing) }));
-        (channel, Ending { connection: connection.clone(), web }, control)
+        let web = web.map(|(session, closing)| Box::new(WebCloser { session, closing: Some(closing) }));
+        (channel, QuicCloser { connection: connection.clone(), web }, control)
     }
 
     /// The connection below, for what it knows of the path.
@@ -215,7 +215,7 @@ impl Channel {
     }
 }
 
-impl Ending {
+impl QuicCloser {
     /// Waits until the peer has closed, or the connection is gone. Dropping the future loses nothing.
     pub(super) async fn closed(&mut self) -> Closed {
         let Some(web) = &mut self.web else { return self.connection.closed().await.into() };
@@ -227,7 +227,7 @@ impl Ending {
 
     /// Closes with `code`, and says why.
     pub(super) async fn close(self, code: u32, reason: &str) {
-        if let Some(WebEnding { mut session, closing }) = self.web.map(|web| *web) {
+        if let Some(WebCloser { mut session, closing }) = self.web.map(|web| *web) {
             // A browser that hears of it closes the connection. If that ended before, it would hide the code
             // from the page.
             let is_first = closing.is_some();
@@ -237,7 +237,7 @@ impl Ending {
                     self.connection.closed().await;
                 }
             };
-            let _ = timeout(FAREWELL, said).await;
+            let _ = timeout(CLOSE_TIMEOUT, said).await;
         }
         close(&self.connection, code, reason);
     }

@@ -13,7 +13,7 @@ use tokio::time::{sleep, sleep_until, timeout};
 use url::Url;
 
 use super::{
-    channel::{Channel, Closed, Ending, Opened},
+    channel::{Channel, Closed, Opened, QuicCloser},
     control::{Control, ControlError},
     identity::{Mismatch, Trust},
     limits::client_transport,
@@ -21,12 +21,12 @@ use super::{
     message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
     playback::Playback,
     scheme::Scheme,
-    screen::{PlayReport, RoundWish, Screen},
+    screen::{FrameSink, PlayReport, RoundRequest},
     settings::{ClientConfig, PlayError},
 };
 
 /// Addresses of a name that are tried.
-const MOST_ADDRESSES: usize = 4;
+const MAX_ADDRESSES: usize = 4;
 /// A receipt leaves with every so many datagrams.
 const RECEIPT_EVERY: u32 = 2;
 /// And so long after any datagram at the latest.
@@ -36,7 +36,7 @@ const RECEIPT_DELAY: Duration = Duration::from_millis(25);
 const RECEIPT_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Time that a session has to say bye.
-const FAREWELL: Duration = Duration::from_millis(500);
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 /// Rounds of a clip that repeats are this far apart at least: a server takes five seeks a second.
 const ROUND_INTERVAL: Duration = Duration::from_millis(200);
 /// How often a viewer who is ahead of a stream that grows asks for its newest window.
@@ -48,7 +48,7 @@ const BEFORE_RECONNECTING: Duration = Duration::from_millis(200);
 const NO_DATAGRAMS: Duration = Duration::from_secs(1);
 
 /// What a session is held on.
-type Conversation<'c> = (&'c Channel, &'c mut Ending, &'c mut SendStream, Control<ServerMessage>);
+type Conversation<'c> = (&'c Channel, &'c mut QuicCloser, &'c mut SendStream, Control<ServerMessage>);
 
 /// What came of playing.
 #[derive(Debug)]
@@ -72,16 +72,20 @@ impl Played {
 }
 
 /// Plays what `config` names on `screen`, until the clip is over, its time is up or `stop` ends.
-pub async fn play(config: &ClientConfig, screen: &mut dyn Screen, stop: impl Future<Output = ()>) -> Played {
+pub async fn play(
+    config: &ClientConfig,
+    screen: &mut dyn FrameSink,
+    stop: impl Future<Output = ()>,
+) -> Played {
     play_over(config, screen, stop, session).await
 }
 
 /// Plays over connections that `session` makes, each from its handshake to the end of the clip.
 pub(crate) async fn play_over(
     config: &ClientConfig,
-    screen: &mut dyn Screen,
+    screen: &mut dyn FrameSink,
     stop: impl Future<Output = ()>,
-    session: impl AsyncFn(&ClientConfig, &mut Playback, &mut dyn Screen) -> Result<(), PlayError>,
+    session: impl AsyncFn(&ClientConfig, &mut Playback, &mut dyn FrameSink) -> Result<(), PlayError>,
 ) -> Played {
     let began = Instant::now();
     let mut playback = match Playback::new(config, began) {
@@ -108,7 +112,7 @@ pub(crate) async fn play_over(
             Ok(is_up) => {
                 leave.send_replace(true);
                 // Whatever comes of that, nothing has ended it early.
-                let _ = timeout(FAREWELL, playing).await;
+                let _ = timeout(CLOSE_TIMEOUT, playing).await;
                 (Ok(()), is_up)
             }
         }
@@ -123,8 +127,8 @@ pub(crate) async fn play_over(
 async fn sessions(
     config: &ClientConfig,
     playback: &mut Playback,
-    screen: &mut dyn Screen,
-    session: impl AsyncFn(&ClientConfig, &mut Playback, &mut dyn Screen) -> Result<(), PlayError>,
+    screen: &mut dyn FrameSink,
+    session: impl AsyncFn(&ClientConfig, &mut Playback, &mut dyn FrameSink) -> Result<(), PlayError>,
 ) -> Result<(), PlayError> {
     let mut left = config.reconnects;
     loop {
@@ -149,7 +153,7 @@ async fn sessions(
 async fn session(
     config: &ClientConfig,
     playback: &mut Playback,
-    screen: &mut dyn Screen,
+    screen: &mut dyn FrameSink,
 ) -> Result<(), PlayError> {
     let (endpoint, connection) = connect(config).await?;
     let result = match open(config, &connection).await {
@@ -205,7 +209,7 @@ pub(crate) async fn connect(config: &ClientConfig) -> Result<(Endpoint, Connecti
     let Locator { host, port, .. } = &config.locator;
     let unknown = || PlayError::Host { host: host.clone() };
     let found = tokio::net::lookup_host((host.as_str(), *port)).await.map_err(|_| unknown())?;
-    let addresses: Vec<SocketAddr> = found.take(MOST_ADDRESSES).collect();
+    let addresses: Vec<SocketAddr> = found.take(MAX_ADDRESSES).collect();
     // A name may stand for addresses at which nobody listens: each has its share of the patience.
     let share = config.silence / addresses.len().max(1) as u32;
     let mut result = Err(unknown());
@@ -263,7 +267,7 @@ fn handshake(config: &ClientConfig, mismatch: &Mismatch, error: ConnectionError)
 async fn converse(
     config: &ClientConfig,
     playback: &mut Playback,
-    screen: &mut dyn Screen,
+    screen: &mut dyn FrameSink,
     (channel, ending, send, mut control): Conversation<'_>,
 ) -> Result<(), PlayError> {
     let stream = config.locator.stream.clone();
@@ -297,7 +301,7 @@ async fn converse(
         let over_at = playback.next_time().map_or(now, |ends| ends.max(round_at + ROUND_INTERVAL));
         if is_over && now >= over_at {
             round_at = now;
-            say(send, &playback.next_round(RoundWish::default())?).await?;
+            say(send, &playback.next_round(RoundRequest::default())?).await?;
             if playback.begins_anew() {
                 screen.forget();
             }
@@ -313,7 +317,7 @@ async fn converse(
         }
         // A stream that grows is shown at its newest end.
         if had_manifest
-            && let Some(wish) = screen.wanted_round()
+            && let Some(wish) = screen.requested_round()
             && (wish.conditions.is_some() || !playback.grows())
         {
             say(send, &playback.next_round(wish)?).await?;
@@ -396,7 +400,7 @@ async fn converse(
 }
 
 /// The server has ended the stream: why, once the connection has ended too.
-async fn gone(ending: &mut Ending) -> PlayError {
+async fn gone(ending: &mut QuicCloser) -> PlayError {
     match timeout(Duration::from_secs(1), ending.closed()).await {
         Ok(error) => PlayError::Lost(error),
         Err(_) => PlayError::Nonsense("the control stream ended".to_owned()),

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use tokio::time::timeout_at;
 
 use super::{
-    carrier::{Carrier, CarrierEnding, ControlWriter, Opened},
+    carrier::{ControlWriter, Opened, SessionCloser, SessionTransport},
     channel::Closed,
     control::{Control, ControlError},
     message::{ClientMessage, Refusal, RefusalCode, StreamChoice},
@@ -14,8 +14,8 @@ use super::{
 
 /// A hello, and what it came on.
 pub(super) struct Greeting {
-    pub(super) carrier: Carrier,
-    pub(super) ending: CarrierEnding,
+    pub(super) carrier: SessionTransport,
+    pub(super) ending: SessionCloser,
     pub(super) send: ControlWriter,
     pub(super) control: Control<ClientMessage>,
     pub(super) stream: StreamChoice,
@@ -25,7 +25,7 @@ pub(super) struct Greeting {
 /// Why there is no session, and what it can be said on.
 pub(super) struct NoSession {
     pub(super) end: End,
-    pub(super) opened: Option<(CarrierEnding, ControlWriter)>,
+    pub(super) opened: Option<(SessionCloser, ControlWriter)>,
 }
 
 impl NoSession {

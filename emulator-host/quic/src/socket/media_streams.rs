@@ -20,7 +20,7 @@ use tokio::{
     time::timeout,
 };
 
-use super::offer::MAX_MEDIA_BYTES;
+use super::served_stream::MAX_MEDIA_BYTES;
 
 /// Streams of media that may be open towards a client.
 pub(super) const MEDIA_STREAMS: u32 = 128;

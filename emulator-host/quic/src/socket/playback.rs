@@ -20,8 +20,8 @@ use tokio::sync::watch;
 
 use super::{
     message::{ClientMessage, Conditions, Granted},
-    offer::{frame_at, start_before, starts, time_us},
-    screen::{FrameShown, PlayReport, RoundWish, Screen},
+    screen::{FrameShown, FrameSink, PlayReport, RoundRequest},
+    served_stream::{frame_at, start_before, starts, time_us},
     settings::{ClientConfig, PlayError},
 };
 
@@ -157,12 +157,12 @@ impl Playback {
     ///
     /// # Errors
     /// That nobody makes the stream any more.
-    pub(super) fn newest_wish(&self) -> Result<Option<RoundWish>, PlayError> {
+    pub(super) fn newest_wish(&self) -> Result<Option<RoundRequest>, PlayError> {
         let Some(since) = self.ahead_since else { return Ok(None) };
         if since.elapsed() >= STALLED {
             return Err(PlayError::Stalled { ms: STALLED.as_millis() });
         }
-        Ok(Some(RoundWish { start_us: self.seen_us, conditions: None }))
+        Ok(Some(RoundRequest { start_us: self.seen_us, conditions: None }))
     }
 
     /// The round begins at the time `start_us` instead, if none of it has been shown.
@@ -204,7 +204,7 @@ impl Playback {
     ///
     /// # Errors
     /// What arrived before cannot be forgotten, for want of memory.
-    pub(crate) fn next_round(&mut self, wish: RoundWish) -> Result<ClientMessage, PlayError> {
+    pub(crate) fn next_round(&mut self, wish: RoundRequest) -> Result<ClientMessage, PlayError> {
         self.report.rounds += 1;
         self.begin(self.round + 1, wish.start_us);
         self.round_began = Instant::now();
@@ -339,7 +339,7 @@ impl Playback {
     }
 
     /// Starts playout if enough is there, and shows what is due.
-    pub(crate) fn show_due(&mut self, screen: &mut dyn Screen) -> Result<(), PlayError> {
+    pub(crate) fn show_due(&mut self, screen: &mut dyn FrameSink) -> Result<(), PlayError> {
         let now = self.now();
         let awaits_begin = self.grows && !self.begun && now < BEGIN_WAIT;
         let holds = self.unanswered || self.ahead_since.is_some() || awaits_begin;

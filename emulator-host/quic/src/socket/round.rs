@@ -15,7 +15,7 @@ use emulator_host::{
     session::{MediaSender, Outstanding, PathFacts},
 };
 
-use super::{carrier::Carrier, offer::Content};
+use super::{carrier::SessionTransport, served_stream::Content};
 
 /// Shortest time over which arrivals are counted for the estimate of the path.
 const SAMPLE: Nanos = Nanos::from_ms(50);
@@ -80,7 +80,7 @@ impl Arrivals {
 }
 
 /// What is known of the path, with `in_flight` bytes of media out and `arrived` known to have arrived.
-fn facts(carrier: &Carrier, arrived: u64, in_flight: u64, estimate: Option<Rate>) -> PathFacts {
+fn facts(carrier: &SessionTransport, arrived: u64, in_flight: u64, estimate: Option<Rate>) -> PathFacts {
     let path = carrier.path(arrived);
     let nanos = |span: Duration| Nanos(u64::try_from(span.as_nanos()).unwrap_or(u64::MAX));
     let (smoothed_rtt, minimum_rtt) = (nanos(path.rtt), nanos(path.least_rtt));
@@ -121,7 +121,7 @@ impl Round {
     /// client began it half a round trip ago.
     pub(super) fn new(
         number: u32,
-        carrier: &Carrier,
+        carrier: &SessionTransport,
         (content, first): (Arc<Content>, u32),
         policy: PolicyKind,
         delivered: &[bool],
@@ -139,7 +139,7 @@ impl Round {
     /// More of a stream that grows is there; what is on its way stays so.
     pub(super) fn renew(
         &mut self,
-        carrier: &Carrier,
+        carrier: &SessionTransport,
         content: Arc<Content>,
         policy: PolicyKind,
         delivered: &[bool],
@@ -183,7 +183,7 @@ impl Round {
     }
 
     /// The client's receipt.
-    pub(super) fn on_receipt(&mut self, receipt: &[u8], carrier: &Carrier) {
+    pub(super) fn on_receipt(&mut self, receipt: &[u8], carrier: &SessionTransport) {
         self.heard_at = self.now();
         self.sender.on_receipt(receipt);
         if self.sender.playout_start().is_some() {
@@ -194,7 +194,7 @@ impl Round {
     }
 
     /// Settles what news or time has shown, and renews what the scheduler sees.
-    pub(super) fn settle(&mut self, carrier: &Carrier) {
+    pub(super) fn settle(&mut self, carrier: &SessionTransport) {
         let now = self.now();
         let before = self.outstanding.arrived_bytes();
         if carrier.repeats_what_is_lost() {
@@ -236,7 +236,7 @@ impl Round {
     pub(super) fn on_sent(&mut self, packet: PacketIndex) {
         let now = self.now();
         self.outstanding.on_sent(&mut self.sender, packet, now);
-        self.sender.on_left(self.outstanding.bytes(), now);
+        self.sender.on_datagram_sent(self.outstanding.bytes(), now);
     }
 
     /// When there may be something to send, or something is lost, without news.

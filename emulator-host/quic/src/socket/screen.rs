@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::message::{Conditions, Granted};
 
 /// What shows frames.
-pub trait Screen {
+pub trait FrameSink {
     /// Frame `frame` is due now and `player` has what has arrived. This must return soon: nothing is received
     /// meanwhile.
     ///
@@ -22,7 +22,7 @@ pub trait Screen {
     fn media(&mut self, _packet: &[u8]) {}
 
     /// Another round that is wanted; asked often, answered once.
-    fn wanted_round(&mut self) -> Option<RoundWish> {
+    fn requested_round(&mut self) -> Option<RoundRequest> {
         None
     }
 
@@ -40,7 +40,7 @@ pub trait Screen {
 
 /// Another round of playout, as a viewer wants it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct RoundWish {
+pub struct RoundRequest {
     /// From which time of the clip on, microseconds.
     pub start_us: u64,
     /// Under which conditions from then on; `None` is those that hold.
@@ -49,9 +49,9 @@ pub struct RoundWish {
 
 /// Shows nothing: frames are only timed and counted.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Headless;
+pub struct NullSink;
 
-impl Screen for Headless {
+impl FrameSink for NullSink {
     fn show(&mut self, _player: &mut Player, _frame: u32) -> Result<(), String> {
         Ok(())
     }

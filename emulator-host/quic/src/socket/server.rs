@@ -23,14 +23,14 @@ use tokio::{
 use super::{
     carrier::{Opened, by_quic, by_socket},
     channel::{Channel, Closed, close},
-    entrance::{Entering, Entrance},
     greeting::{Greeting, NoSession, greeting},
     identity::{Identity, IdentityError, Pin},
     impair::{ImpairedSocket, Impairment, Links},
     limits::ServerLimits,
     message::{Refusal, RefusalCode, StreamChoice},
-    offer::{Offer, OfferError},
+    served_stream::{ServedStream, ServedStreamError},
     viewer::{End, Session, ViewerReport, end_session},
+    web_socket_acceptor::{AcceptedWebSocket, WebSocketAcceptor},
 };
 
 /// Connections beyond the viewers: those that are shaking hands, and those that are being refused.
@@ -38,7 +38,7 @@ const SPARE_CONNECTIONS: usize = 16;
 /// Bytes of connections that wait to be accepted, each and together.
 const INCOMING_BYTES: (u64, u64) = (8 << 10, 1 << 20);
 /// How long viewers may take to leave when the server closes.
-const FAREWELL: Duration = Duration::from_secs(2);
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// How streams are served.
 #[derive(Debug)]
@@ -65,7 +65,7 @@ pub enum ServerError {
     NoStream,
     /// A stream cannot be offered.
     #[error(transparent)]
-    Offer(#[from] OfferError),
+    ServedStream(#[from] ServedStreamError),
     /// The certificate does not serve.
     #[error(transparent)]
     Identity(#[from] IdentityError),
@@ -103,8 +103,8 @@ pub struct Server {
     endpoint: Endpoint,
     shared: Arc<Shared>,
     pin: Pin,
-    entrance: Entrance,
-    entering: mpsc::Receiver<Entering>,
+    entrance: WebSocketAcceptor,
+    entering: mpsc::Receiver<AcceptedWebSocket>,
     ended: mpsc::UnboundedReceiver<Ended>,
     stop: watch::Sender<bool>,
 }
@@ -112,7 +112,7 @@ pub struct Server {
 /// What every connection's task sees.
 #[derive(Debug)]
 struct Shared {
-    offers: Vec<Arc<Offer>>,
+    offers: Vec<Arc<ServedStream>>,
     limits: ServerLimits,
     policy: PolicyKind,
     /// Where viewers' own links are; `None` where they may not change any.
@@ -135,13 +135,13 @@ impl Server {
     ///
     /// # Errors
     /// [`ServerError`].
-    pub fn bind(config: ServerConfig, offers: Vec<Offer>) -> Result<Self, ServerError> {
+    pub fn bind(config: ServerConfig, offers: Vec<ServedStream>) -> Result<Self, ServerError> {
         if offers.is_empty() {
             return Err(ServerError::NoStream);
         }
         for (at, offer) in offers.iter().enumerate() {
             if offers[..at].iter().any(|before| before.name() == offer.name()) {
-                return Err(OfferError::Twice { name: offer.name().to_owned() }.into());
+                return Err(ServedStreamError::Twice { name: offer.name().to_owned() }.into());
             }
         }
         let ServerConfig { bind, identity, limits, policy, impairment, viewer_conditions } = config;
@@ -177,7 +177,7 @@ impl Server {
             ended: ended_sender,
             stopping,
         });
-        let (entrance, entering) = Entrance::new(shared.limits.max_viewers + SPARE_CONNECTIONS);
+        let (entrance, entering) = WebSocketAcceptor::new(shared.limits.max_viewers + SPARE_CONNECTIONS);
         Ok(Self { endpoint, shared, pin, entrance, entering, ended, stop })
     }
 
@@ -195,7 +195,7 @@ impl Server {
     }
 
     /// Where a page's server lets WebSockets in.
-    pub fn entrance(&self) -> Entrance {
+    pub fn entrance(&self) -> WebSocketAcceptor {
         self.entrance.clone()
     }
 
@@ -233,13 +233,13 @@ impl Server {
         // connection.
         let _ = self.stop.send(true);
         let all = async { while tasks.join_next().await.is_some() {} };
-        let _ = timeout(FAREWELL, all).await;
+        let _ = timeout(CLOSE_TIMEOUT, all).await;
         tasks.shutdown().await;
         while let Ok(ended) = self.ended.try_recv() {
             report.enter(&ended, &mut on_end);
         }
         self.endpoint.close(code(RefusalCode::Closing), b"the server is closing");
-        let _ = timeout(FAREWELL, self.endpoint.wait_idle()).await;
+        let _ = timeout(CLOSE_TIMEOUT, self.endpoint.wait_idle()).await;
         report.failed_handshakes = self.shared.failed_handshakes.load(Ordering::Relaxed);
         report
     }
@@ -293,8 +293,8 @@ async fn serve(incoming: Incoming, shared: Arc<Shared>) {
 }
 
 /// One WebSocket from its first frame to its last.
-async fn serve_socket(entering: Entering, shared: Arc<Shared>) {
-    let Entering { socket, address, place } = entering;
+async fn serve_socket(entering: AcceptedWebSocket, shared: Arc<Shared>) {
+    let AcceptedWebSocket { socket, address, place } = entering;
     let (opened, carrying) = by_socket(socket, address);
     let attending = attend(std::future::ready(Ok(opened)), &shared);
     tokio::join!(carrying, attending);
@@ -340,7 +340,10 @@ async fn attend(opening: impl Future<Output = Result<Opened, Closed>>, shared: &
 
 impl Shared {
     /// The stream that is wanted, and a place to watch it.
-    fn greet(&self, greeting: Greeting) -> Result<(Greeting, Arc<Offer>, OwnedSemaphorePermit), NoSession> {
+    fn greet(
+        &self,
+        greeting: Greeting,
+    ) -> Result<(Greeting, Arc<ServedStream>, OwnedSemaphorePermit), NoSession> {
         let offer = match &greeting.stream {
             StreamChoice::Name(name) => self.offers.iter().find(|offer| offer.name() == name),
             StreamChoice::Index(index) => self.offers.get(usize::from(*index)),

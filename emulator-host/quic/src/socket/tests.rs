@@ -19,15 +19,15 @@ use codec_core::internals::ids::{ClusterId, EpochId, Group as GroupId, Level, Pa
 use dgs_player::Stream;
 use emulator_host::{
     GroupIndex, Nanos, PacketGraph, PacketIndex, PolicyKind,
-    graph::{GraphParts, Group, Packet, Profile},
+    graph::{ClosureRule, GraphParts, Group, Packet},
 };
 use quinn::{Connection, Endpoint};
 use tokio::{runtime::Runtime, sync::oneshot, task::JoinHandle};
 
 use super::{
-    ClientConfig, Entrance, Headless, Identity, Locator, Offer, PlayError, PlayReport, Played, RoundWish,
-    Scheme, Screen, Server, ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport,
-    limits::client_transport, message::StreamChoice, play,
+    ClientConfig, FrameSink, Identity, Locator, NullSink, PlayError, PlayReport, Played, RoundRequest,
+    Scheme, ServedStream, Server, ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport,
+    WebSocketAcceptor, limits::client_transport, message::StreamChoice, play,
 };
 
 /// A small stream of a few frames.
@@ -65,7 +65,7 @@ fn graph(stream: &Stream) -> PacketGraph {
         frames,
         frame_interval: Nanos((1e9 / manifest.frames_per_second()) as u64),
         manifest_bytes: stream.message().len() as u32,
-        profile: Profile::Sliced,
+        profile: ClosureRule::Sliced,
     })
     .unwrap()
 }
@@ -80,22 +80,22 @@ fn within<T>(test: impl Future<Output = T>) -> T {
 struct Running {
     address: SocketAddr,
     trust: Trust,
-    entrance: Entrance,
+    entrance: WebSocketAcceptor,
     stop: oneshot::Sender<()>,
     task: JoinHandle<(ServerReport, Vec<ViewerReport>)>,
 }
 
 impl Running {
     fn start(limits: ServerLimits) -> Self {
-        Self::offering(limits, Offer::new("everything", &stream(), graph(&stream())).unwrap())
+        Self::offering(limits, ServedStream::new("everything", &stream(), graph(&stream())).unwrap())
     }
 
-    fn offering(limits: ServerLimits, offer: Offer) -> Self {
+    fn offering(limits: ServerLimits, offer: ServedStream) -> Self {
         Self::letting(true, limits, offer)
     }
 
     /// A server that lets viewers change the conditions of their sessions, or does not.
-    fn letting(viewer_conditions: bool, limits: ServerLimits, offer: Offer) -> Self {
+    fn letting(viewer_conditions: bool, limits: ServerLimits, offer: ServedStream) -> Self {
         let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
         let (bind, policy) = ((Ipv4Addr::LOCALHOST, 0).into(), PolicyKind::Layered);
         let config = ServerConfig { bind, identity, limits, policy, impairment: None, viewer_conditions };
@@ -123,7 +123,7 @@ impl Running {
 
     /// Plays to the end.
     async fn play(&self) -> Result<PlayReport, PlayError> {
-        play(&self.client(), &mut Headless, std::future::pending()).await.whole()
+        play(&self.client(), &mut NullSink, std::future::pending()).await.whole()
     }
 
     /// An honest client sees all of the clip.

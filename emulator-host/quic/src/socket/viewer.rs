@@ -14,13 +14,13 @@ use tokio::{sync::watch, time::sleep_until};
 pub use self::end::ViewerReport;
 pub(super) use self::end::{End, end_session};
 use super::{
-    carrier::{Carrier, CarrierEnding, ControlWriter, Departure, NotSent},
+    carrier::{ControlWriter, NotSent, SendFuture, SessionCloser, SessionTransport},
     control::{Control, ControlError},
     impair::Links,
     limits::{Allowance, ServerLimits},
     message::{ClientMessage, Conditions, Granted, Message as _, Refusal, RefusalCode, ServerMessage},
-    offer::{Content, Offer},
     round::Round,
+    served_stream::{Content, ServedStream},
 };
 
 /// Media that may leave before the first receipt: until then the manifest may need the path for repeats,
@@ -41,11 +41,11 @@ const ROUND_BYTES: usize = 4;
 
 /// A session that a hello has begun.
 pub(super) struct Session {
-    pub(super) carrier: Carrier,
-    pub(super) ending: CarrierEnding,
+    pub(super) carrier: SessionTransport,
+    pub(super) ending: SessionCloser,
     pub(super) send: ControlWriter,
     pub(super) control: Control<ClientMessage>,
-    pub(super) offer: Arc<Offer>,
+    pub(super) offer: Arc<ServedStream>,
     pub(super) limits: ServerLimits,
     pub(super) policy: PolicyKind,
     /// Where the viewer's own link is; `None` where it may not change conditions.
@@ -73,8 +73,8 @@ fn refused(code: RefusalCode, sentence: String) -> End {
 
 /// The moving parts of a session.
 struct Viewer<'s> {
-    carrier: &'s Carrier,
-    offer: &'s Offer,
+    carrier: &'s SessionTransport,
+    offer: &'s ServedStream,
     /// The server's scheduler, and the one that chooses.
     own_policy: PolicyKind,
     policy: PolicyKind,
@@ -107,7 +107,7 @@ struct Sending<'s> {
     round: (u32, u32),
     packet: PacketIndex,
     bytes: u64,
-    departure: Departure<'s>,
+    departure: SendFuture<'s>,
 }
 
 /// Ends when the packet that waits, if there is one, has left.
@@ -164,8 +164,8 @@ impl Session {
 
 impl<'s> Viewer<'s> {
     fn new(
-        carrier: &'s Carrier,
-        offer: &'s Offer,
+        carrier: &'s SessionTransport,
+        offer: &'s ServedStream,
         limits: &ServerLimits,
         policy: PolicyKind,
         start_us: u64,
@@ -183,7 +183,7 @@ impl<'s> Viewer<'s> {
         // A tenth of a second of media may leave at once.
         let rate = limits.max_rate_bps.map(|bps| {
             let bytes = bps as f64 / 8.0;
-            Allowance::new(bytes, (bytes / 10.0).max(2.0 * super::offer::MAX_MEDIA_BYTES as f64))
+            Allowance::new(bytes, (bytes / 10.0).max(2.0 * super::served_stream::MAX_MEDIA_BYTES as f64))
         });
         Ok(Self {
             carrier,
@@ -210,7 +210,7 @@ impl<'s> Viewer<'s> {
 
     async fn run(
         &mut self,
-        ending: &mut CarrierEnding,
+        ending: &mut SessionCloser,
         send: &mut ControlWriter,
         control: &mut Control<ClientMessage>,
         limits: &ServerLimits,
@@ -255,7 +255,7 @@ impl<'s> Viewer<'s> {
                     }
                 }
                 left = departure(&mut sending), if sending.is_some() => match left {
-                    Ok(()) => self.on_left(&mut sending),
+                    Ok(()) => self.on_datagram_sent(&mut sending),
                     Err(NotSent::Closed(closed)) => return End::Gone(closed),
                     Err(NotSent::Refused(error)) => {
                         let sentence = format!("media does not pass as datagrams: {error}");
@@ -284,7 +284,7 @@ impl<'s> Viewer<'s> {
         let left = self.carrier.sent_bytes() - before >= bytes;
         let early = self.tally.receipts > 0 || self.tally.packets < EARLY_PACKETS;
         let now = self.began.elapsed();
-        let widest = super::offer::MAX_MEDIA_BYTES as f64;
+        let widest = super::served_stream::MAX_MEDIA_BYTES as f64;
         let granted = self.rate.as_mut().is_none_or(|rate| rate.wait(widest, now).is_zero());
         left && early && granted
     }
@@ -302,7 +302,7 @@ impl<'s> Viewer<'s> {
     }
 
     /// The packet that waited has left.
-    fn on_left(&mut self, sending: &mut Option<Sending<'s>>) {
+    fn on_datagram_sent(&mut self, sending: &mut Option<Sending<'s>>) {
         let Some(left) = sending.take() else { return };
         self.tally.packets += 1;
         self.tally.media_bytes += left.bytes;
@@ -325,7 +325,7 @@ impl<'s> Viewer<'s> {
             wake = wake.min(now + MANIFEST_POLL);
         }
         if let Some(rate) = &mut self.rate {
-            let wait = rate.wait(super::offer::MAX_MEDIA_BYTES as f64, self.began.elapsed());
+            let wait = rate.wait(super::served_stream::MAX_MEDIA_BYTES as f64, self.began.elapsed());
             if !wait.is_zero() {
                 wake = wake.min(now + wait);
             }

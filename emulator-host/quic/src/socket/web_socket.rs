@@ -49,7 +49,7 @@ const FIRST_WINDOW: u64 = 32 << 10;
 /// Bytes of the longest datagram with what stands before it in a frame, and TCP/IP's heads.
 const DATAGRAM_BYTES: u64 = 1200;
 /// How long the client may take to answer a close.
-const FAREWELL: Duration = Duration::from_millis(500);
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 /// Codes for programs begin here; refusals follow by their codes.
 const FIRST_CODE: u16 = 4000;
 /// Longest reason of a close.
@@ -79,7 +79,7 @@ pub(super) struct SocketChannel {
 
 /// How a session on a WebSocket comes to its end.
 #[derive(Debug)]
-pub(super) struct SocketEnding {
+pub(super) struct SocketCloser {
     close: oneshot::Sender<CloseFrame>,
     gone: oneshot::Receiver<()>,
 }
@@ -143,7 +143,7 @@ impl SocketChannel {
     }
 }
 
-impl SocketEnding {
+impl SocketCloser {
     /// Closes with `code`, and says why.
     pub(super) async fn close(self, code: u32, reason: &str) {
         let mut reason = reason.to_owned();
@@ -155,7 +155,7 @@ impl SocketEnding {
             Ok(code) => CloseCode::Library(FIRST_CODE.saturating_add(code)),
         };
         let _ = self.close.send(CloseFrame { code, reason: reason.into() });
-        let _ = timeout(2 * FAREWELL, self.gone).await;
+        let _ = timeout(2 * CLOSE_TIMEOUT, self.gone).await;
     }
 }
 
@@ -174,7 +174,7 @@ impl SocketWriter {
 pub(super) fn open(
     socket: Socket,
     address: SocketAddr,
-) -> (SocketChannel, SocketEnding, SocketWriter, mpsc::Receiver<Bytes>, impl Future<Output = ()> + Send) {
+) -> (SocketChannel, SocketCloser, SocketWriter, mpsc::Receiver<Bytes>, impl Future<Output = ()> + Send) {
     let measured =
         Arc::new(Measured { began: Instant::now(), sent: AtomicU64::new(0), rtt: StdMutex::new(None) });
     let (media, media_out) = mpsc::channel(1);
@@ -210,15 +210,15 @@ pub(super) fn open(
         };
         // Who closes first waits for the answer, so that nothing that was written is thrown away.
         if frame.is_some() && writing.sink.send(Message::Close(frame)).await.is_ok() {
-            let _ = timeout(FAREWELL, reading).await;
+            let _ = timeout(CLOSE_TIMEOUT, reading).await;
         } else {
-            let _ = timeout(FAREWELL, writing.sink.close()).await;
+            let _ = timeout(CLOSE_TIMEOUT, writing.sink.close()).await;
         }
         // Whether anybody waits for that does not matter.
         let _ = ended.send(());
     };
     let channel = SocketChannel { address, out: media, heard: Mutex::new(heard), measured };
-    (channel, SocketEnding { close, gone }, SocketWriter(messages), control, carrying)
+    (channel, SocketCloser { close, gone }, SocketWriter(messages), control, carrying)
 }
 
 /// Takes a frame of the client; false if it is none, or the session is over.

@@ -33,7 +33,7 @@ pub(super) const DATAGRAM_OVERHEAD: u64 = 1 + ID_BYTES as u64 + 4 + 16 + 9;
 const DATAGRAM_BUFFER: usize = 4096;
 
 /// Connection ids that follow from a seed.
-struct SeededIds(rng::Stream);
+struct SeededIds(rng::RandomStream);
 
 impl ConnectionIdGenerator for SeededIds {
     fn generate_cid(&mut self) -> ConnectionId {
@@ -214,8 +214,8 @@ fn address(host: u8) -> SocketAddr {
 fn endpoint_config(seed: u64, side: &str) -> Arc<EndpointConfig> {
     let mut config = EndpointConfig::default();
     let mut bytes = [0; 32];
-    let mut luck = rng::stream(seed, &format!("quic/{side}"));
-    bytes.chunks_mut(8).for_each(|chunk| chunk.copy_from_slice(&luck.bits().to_be_bytes()));
+    let mut random = rng::stream(seed, &format!("quic/{side}"));
+    bytes.chunks_mut(8).for_each(|chunk| chunk.copy_from_slice(&random.bits().to_be_bytes()));
     let label = format!("quic/{side}/ids");
     config
         .rng_seed(Some(bytes))

@@ -19,7 +19,7 @@ use super::{
 };
 
 /// Longest time for a handshake.
-const PATIENCE: Nanos = Nanos::from_s(60);
+const HANDSHAKE_TIMEOUT: Nanos = Nanos::from_s(60);
 /// After the handshake, until the last of its packets has been acknowledged and the keys are discarded.
 const SETTLING: Nanos = Nanos::from_s(2);
 
@@ -61,7 +61,7 @@ pub fn run(
     let [forward, reverse] = config.paths()?;
     let datagram_bytes = datagram_bytes(graph);
     let mut pair = Pair::new(config, datagram_bytes, bare_paths(config)?)?;
-    let connected = pair.connect(PATIENCE)? + SETTLING;
+    let connected = pair.connect(HANDSHAKE_TIMEOUT)? + SETTLING;
     pair.go_on_until(connected)?;
     pair.server.restart(connected);
     pair.client.restart(connected);
@@ -90,7 +90,7 @@ pub fn run(
 /// As [`simulate`], and [`VirtualError::Handshake`] if it takes longer than a minute.
 pub fn handshake(config: &SessionConfig) -> Result<Nanos, VirtualError> {
     check(config)?;
-    Pair::new(config, 1200, config.paths()?)?.connect(PATIENCE)
+    Pair::new(config, 1200, config.paths()?)?.connect(HANDSHAKE_TIMEOUT)
 }
 
 fn check(config: &SessionConfig) -> Result<(), VirtualError> {

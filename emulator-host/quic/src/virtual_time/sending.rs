@@ -152,7 +152,7 @@ impl<'a> Sending<'a> {
             observed.on_sent(bytes.len() as u64, now);
             let in_flight = observed.in_flight();
             drop(observed);
-            self.media.on_left(in_flight, now);
+            self.media.on_datagram_sent(in_flight, now);
         }
         if after.datagram > before.datagram
             && let Some(packet) = self.queued.take()

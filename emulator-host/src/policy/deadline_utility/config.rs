@@ -1,14 +1,14 @@
 //! Names what the default scheduler does beyond the paper's score; each can be switched off by itself.
 
 use super::viewport::ViewportConfig;
-use crate::{clock::Nanos, graph::pieces::Addition, policy::SenderView};
+use crate::{clock::Nanos, graph::pieces::Contribution, policy::SenderView};
 
 /// Settings. [`Default`] is what measured best on windows that were not used to report.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DeadlineUtilityConfig {
-    /// Longest queue that media may cause on the path ([`super::super::Service::own_queue`]); `None`: as the
+    /// Longest queue that media may cause on the path ([`super::super::SenderRequirements::max_queue_delay`]); `None`: as the
     /// congestion window allows.
-    pub own_queue: Option<Nanos>,
+    pub max_queue_delay: Option<Nanos>,
     /// Every lost packet competes again for as long as it can show; otherwise lost base packets are repeated
     /// within a budget and nothing else is.
     pub lost_compete: bool,
@@ -42,7 +42,7 @@ pub struct DeadlineUtilityConfig {
 
 impl DeadlineUtilityConfig {
     /// The viewport weight of a piece that adds `parts`: 1 without a viewer's word.
-    pub(super) fn viewport_weight(&self, view: &SenderView<'_>, parts: &[Addition]) -> f64 {
+    pub(super) fn viewport_weight(&self, view: &SenderView<'_>, parts: &[Contribution]) -> f64 {
         match (&self.viewport, &view.viewpoint) {
             (Some(config), Some(viewpoint)) => config.weight(viewpoint, view.graph, parts),
             _ => 1.0,
@@ -53,7 +53,7 @@ impl DeadlineUtilityConfig {
 impl Default for DeadlineUtilityConfig {
     fn default() -> Self {
         Self {
-            own_queue: Some(Nanos::from_ms(100)),
+            max_queue_delay: Some(Nanos::from_ms(100)),
             lost_compete: true,
             credit: true,
             arrival_from_queue: true,

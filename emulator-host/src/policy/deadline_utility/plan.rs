@@ -9,8 +9,8 @@ use std::{cmp::Ordering, collections::BinaryHeap, sync::Arc};
 
 use super::{
     config::DeadlineUtilityConfig,
+    forecast::{Forecast, OVERHEAD_BYTES},
     in_flight::{arrives_in_time, survival},
-    outlook::{OVERHEAD_BYTES, Outlook},
 };
 use crate::{
     clock::Nanos,
@@ -70,7 +70,7 @@ impl PartialEq for Ready {
 impl Eq for Ready {}
 
 /// Parity that saves less than this share of what a loss of its members costs is never sent.
-const LEAST_SAVED: f64 = 0.1;
+const MIN_SAVED: f64 = 0.1;
 
 /// The ranking, and what it is made from.
 #[derive(Debug)]
@@ -83,7 +83,7 @@ pub(super) struct Plan {
     open: Vec<u32>,
     /// Whether a piece and all that it needs is on its way or there. Pieces that are not open count as that.
     sent: Vec<bool>,
-    /// Chance that what of a piece and of its needs is in flight arrives.
+    /// Probability that what of a piece and of its needs is in flight arrives.
     chance: Vec<f64>,
     /// Needs of a piece that are not sent.
     missing: Vec<u32>,
@@ -92,8 +92,8 @@ pub(super) struct Plan {
     /// Kept, so that plans cost no allocation.
     children: Vec<(f64, Block)>,
     finished: Vec<usize>,
-    /// Longest queue that media cause ([`DeadlineUtilityConfig::own_queue`]); zero if nothing bounds it.
-    own_queue: Nanos,
+    /// Longest queue that media cause ([`DeadlineUtilityConfig::max_queue_delay`]); zero if nothing bounds it.
+    max_queue_delay: Nanos,
     target: Option<u32>,
     /// Packets at the front of the target of which none waits.
     done: usize,
@@ -120,7 +120,7 @@ impl Plan {
             ready: BinaryHeap::new(),
             children: Vec::new(),
             finished: Vec::new(),
-            own_queue: Nanos::ZERO,
+            max_queue_delay: Nanos::ZERO,
             target: None,
             done: 0,
             division,
@@ -159,13 +159,13 @@ impl Plan {
 
     /// Ranks what may be sent at `now`.
     pub(super) fn renew(&mut self, view: &SenderView<'_>, config: &DeadlineUtilityConfig, now: Nanos) {
-        self.own_queue = config.own_queue.unwrap_or(Nanos::ZERO);
+        self.max_queue_delay = config.max_queue_delay.unwrap_or(Nanos::ZERO);
         self.target = None;
         self.ready.clear();
         self.enter(view);
-        let outlook = Outlook::new(view, config, now);
-        self.look_down(view, &outlook, now);
-        self.look_up(view, &outlook, config);
+        let forecast = Forecast::new(view, config, now);
+        self.look_down(view, &forecast, now);
+        self.look_up(view, &forecast, config);
     }
 
     /// Takes in the pieces that have come near.
@@ -189,7 +189,7 @@ impl Plan {
 
     /// From what is needed to what needs it: what is sent, what is missing, what may be lost. Drops what is
     /// done or past.
-    fn look_down(&mut self, view: &SenderView<'_>, outlook: &Outlook, now: Nanos) {
+    fn look_down(&mut self, view: &SenderView<'_>, forecast: &Forecast, now: Nanos) {
         let mut open = std::mem::take(&mut self.open);
         open.retain(|place| {
             let piece = self.piece_at(*place);
@@ -199,7 +199,7 @@ impl Plan {
                 missing += u32::from(!self.sent[*need as usize]);
                 chance *= self.chance[*need as usize];
             }
-            let past = self.division.pieces.useful_until(piece) < outlook.next_frame();
+            let past = self.division.pieces.useful_until(piece) < forecast.next_frame();
             let done = rest.waiting == 0 && rest.in_flight == 0 && missing == 0;
             // Needs in flight keep a piece open: they may be lost.
             if past || (done && chance >= 1.0) {
@@ -210,7 +210,7 @@ impl Plan {
             if rest.in_flight > 0 {
                 for packet in self.division.pieces.packets(piece) {
                     if view.status[packet.at()] == PacketStatus::InFlight {
-                        chance *= survival(view, packet, outlook.loss, now);
+                        chance *= survival(view, packet, forecast.loss, now);
                     }
                 }
             }
@@ -223,7 +223,7 @@ impl Plan {
     }
 
     /// From what needs to what is needed: ranks.
-    fn look_up(&mut self, view: &SenderView<'_>, outlook: &Outlook, config: &DeadlineUtilityConfig) {
+    fn look_up(&mut self, view: &SenderView<'_>, forecast: &Forecast, config: &DeadlineUtilityConfig) {
         for at in (0..self.open.len()).rev() {
             let place = self.open[at];
             let piece = self.piece_at(place);
@@ -232,7 +232,7 @@ impl Plan {
             }
             let rest = self.rest[piece];
             let parts = self.division.pieces.parts(piece);
-            let value = outlook.value(parts, &self.division.sums, rest.waiting_bytes)
+            let value = forecast.value(parts, &self.division.sums, rest.waiting_bytes)
                 * config.viewport_weight(view, parts);
             let mut block = Block { value: value * self.chance[piece], bytes: f64::from(rest.waiting_bytes) };
             if config.credit {
@@ -306,7 +306,7 @@ impl Plan {
         self.done = at;
         let mut candidates = std::iter::once(first).chain(waiting.map(|(_, packet)| packet));
         let in_time = |packet: &PacketIndex| {
-            view.is_sendable(*packet, now) && arrives_in_time(view, *packet, self.own_queue, now)
+            view.is_sendable(*packet, now) && arrives_in_time(view, *packet, self.max_queue_delay, now)
         };
         let found = candidates.find(in_time);
         debug_assert_eq!(
@@ -360,7 +360,7 @@ impl Plan {
         &self,
         view: &SenderView<'_>,
         config: &DeadlineUtilityConfig,
-        outlook: &Outlook,
+        forecast: &Forecast,
         parity: PacketIndex,
     ) -> f64 {
         let facts = &view.graph.packets()[parity.at()];
@@ -373,17 +373,17 @@ impl Plan {
             let Some(piece) = self.division.pieces.of_packet(*member) else { continue };
             let (parts, bytes) =
                 (self.division.pieces.parts(piece), u32::from(view.graph.wire_bytes(*member)));
-            let (soon, late) = outlook.soon_and_late(parts, &self.division.sums, bytes, repetition);
+            let (soon, late) = forecast.soon_and_late(parts, &self.division.sums, bytes, repetition);
             let weight = config.viewport_weight(view, parts);
-            saved += outlook.loss * (soon - late) * weight;
-            value += outlook.loss * soon * weight;
+            saved += forecast.loss * (soon - late) * weight;
+            value += forecast.loss * soon * weight;
         }
         // Repetition is cheaper: it costs bytes only where something was lost.
-        if saved < LEAST_SAVED * value {
+        if saved < MIN_SAVED * value {
             return 0.0;
         }
         // Sent later, parity saves nothing any more: a delay costs all of it.
-        outlook.urgent(saved) / f64::from(u32::from(facts.wire_bytes) + OVERHEAD_BYTES)
+        forecast.urgent(saved) / f64::from(u32::from(facts.wire_bytes) + OVERHEAD_BYTES)
     }
 }
 
@@ -394,7 +394,7 @@ mod tests {
     use super::*;
     use crate::{
         clock::Rate,
-        graph::{GraphParts, Group, GroupIndex, Packet, Profile},
+        graph::{ClosureRule, GraphParts, Group, GroupIndex, Packet},
         startup::StartupRule,
     };
 
@@ -429,7 +429,7 @@ mod tests {
             frames: 100,
             frame_interval: Nanos::from_ms(33),
             manifest_bytes: 0,
-            profile: Profile::AllOrNothing,
+            profile: ClosureRule::AllOrNothing,
         })
         .unwrap()
     }

@@ -105,7 +105,7 @@ mod tests {
     use codec_core::internals::ids::PacketId;
 
     use super::*;
-    use crate::graph::{Profile, Synthetic, Utilities};
+    use crate::graph::{ClosureRule, Synthetic, Utilities};
 
     /// Σ over frames of the utility of the groups that show, of those whose packets are in `have`, by the
     /// definition.
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn every_beginning_is_closed_and_adds_more_than_levels_in_order() {
-        for profile in [Profile::AllOrNothing, Profile::Sliced] {
+        for profile in [ClosureRule::AllOrNothing, ClosureRule::Sliced] {
             for seed in 0..4 {
                 let graph = Synthetic { frames: 48, profile, ..Synthetic::default() }.build(seed).unwrap();
                 let order = order_by_utility(&graph);

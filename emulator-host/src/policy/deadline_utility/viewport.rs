@@ -22,7 +22,7 @@
 //! the viewer has not said where it is, has weight 1 exactly.
 
 use crate::{
-    graph::{Ball, PacketGraph, Place, pieces::Addition},
+    graph::{Ball, PacketGraph, Place, pieces::Contribution},
     viewpoint::Viewpoint,
 };
 
@@ -48,7 +48,7 @@ impl Default for ViewportConfig {
 
 impl ViewportConfig {
     /// Weight of a piece that adds `parts`.
-    pub(super) fn weight(&self, viewpoint: &Viewpoint, graph: &PacketGraph, parts: &[Addition]) -> f64 {
+    pub(super) fn weight(&self, viewpoint: &Viewpoint, graph: &PacketGraph, parts: &[Contribution]) -> f64 {
         let weights = parts.iter().map(|part| {
             let group = &graph.groups()[part.group.at()];
             let floor = self.floor[usize::from(group.level()).min(self.floor.len() - 1)];
@@ -184,7 +184,7 @@ mod tests {
     fn a_piece_has_the_mean_of_its_groups_and_unknown_places_count_as_before() {
         let parts = Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap().parts().clone();
         let part =
-            |group, utility| Addition { group: GroupIndex(group), first: 0, last: 9, utility, base: 0.0 };
+            |group, utility| Contribution { group: GroupIndex(group), first: 0, last: 9, utility, base: 0.0 };
         let config = ViewportConfig::default();
         let plain = PacketGraph::new(parts.clone()).unwrap();
         assert_eq!(config.weight(&ahead(), &plain, &[part(0, 2.0), part(1, 1.0)]), 1.0);

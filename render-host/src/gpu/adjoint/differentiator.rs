@@ -9,7 +9,7 @@ use bytemuck::cast_slice;
 
 use super::{
     super::{
-        Bound, Device, Executor, GpuError, Growing, Lists, Scene, Stages, Tiles,
+        BoundRecording, Device, Executor, GpuError, GrowableBuffer, Lists, Scene, Stages, Tiles,
         layout::WORKGROUP,
         lists::COUNT_BYTES,
         recording::{Recording, Workgroups},
@@ -17,10 +17,11 @@ use super::{
         source::Kernel,
         states::{Batch, QUAD, SharedLists, Totals, masks, set_bytes},
     },
-    PROJECT_BACK, SEGMENT, VECTOR, pose, pose_totals,
+    PROJECT_BACK, SEGMENT, VECTOR,
+    blend_buffers::{BLEND_BACK, BlendBuffers},
+    pose, pose_totals,
     rows::Rows,
     structure::FRAMEBUFFER,
-    walk::{BLEND_BACK, Walk},
 };
 use crate::{
     Camera, Settings, Splats,
@@ -49,27 +50,27 @@ pub struct Differentiator {
     buffers: Buffers,
     /// Of the last picture drawn.
     drawn: Option<Drawn>,
-    drawing: Option<Bound>,
-    going_back: Option<Bound>,
+    drawing: Option<BoundRecording>,
+    going_back: Option<BoundRecording>,
 }
 
 #[derive(Debug)]
 struct Buffers {
-    entries: Growing,
-    sets: Growing,
-    partials: Growing,
-    found: Growing,
-    marks: Growing,
+    entries: GrowableBuffer,
+    sets: GrowableBuffer,
+    partials: GrowableBuffer,
+    found: GrowableBuffer,
+    marks: GrowableBuffer,
     /// The picture, plane by plane; then its gradient.
-    planes: Growing,
-    gradients: Growing,
+    planes: GrowableBuffer,
+    gradients: GrowableBuffer,
 }
 
 /// A picture on the device.
 #[derive(Debug)]
 struct Drawn {
     lists: SharedLists,
-    walk: Walk,
+    walk: BlendBuffers,
     sums: Sums,
 }
 
@@ -107,13 +108,13 @@ impl Differentiator {
             batch: device.uniform("batch", bytemuck::bytes_of(&batch))?,
             masks: device.filled("masks", cast_slice(&masks(&States::full(1), 1)))?,
             buffers: Buffers {
-                entries: Growing::new("entries"),
-                sets: Growing::new("sets"),
-                partials: Growing::new("gradients of entries"),
-                found: Growing::new("backgrounds of tiles"),
-                marks: Growing::new("transmittances"),
-                planes: Growing::new("picture"),
-                gradients: Growing::new("gradients"),
+                entries: GrowableBuffer::new("entries"),
+                sets: GrowableBuffer::new("sets"),
+                partials: GrowableBuffer::new("gradients of entries"),
+                found: GrowableBuffer::new("backgrounds of tiles"),
+                marks: GrowableBuffer::new("transmittances"),
+                planes: GrowableBuffer::new("picture"),
+                gradients: GrowableBuffer::new("gradients"),
             },
             drawn: None,
             drawing: None,
@@ -254,7 +255,7 @@ impl Differentiator {
         recording.dispatch(kernel, &back.concat(), [columns, rows, 1]);
         sums.background.record(recording);
         let [gaussians, harmonics, _] = scene.buffers()?;
-        let Walk { frame, splats, starts, entries, partials, .. } = walk;
+        let BlendBuffers { frame, splats, starts, entries, partials, .. } = walk;
         let ranks = &lists.tiles.ranks;
         let buffers =
             [frame, gaussians, harmonics, splats, ranks, starts, entries, partials, &sums.gradients];
@@ -280,9 +281,9 @@ impl Buffers {
         Ok(())
     }
 
-    fn walk(&self, lists: &SharedLists, masks: &wgpu::Buffer) -> Result<Walk, GpuError> {
+    fn walk(&self, lists: &SharedLists, masks: &wgpu::Buffer) -> Result<BlendBuffers, GpuError> {
         let tiles = &lists.tiles;
-        Ok(Walk {
+        Ok(BlendBuffers {
             frame: tiles.frame.clone(),
             splats: tiles.splats.clone(),
             starts: tiles.starts.clone(),

@@ -13,7 +13,7 @@ use super::{
         source::{Bind, Kernel, LAYOUT, Source, TILE},
         states::{Batch, QUAD, STATES, Totals},
     },
-    walk::{BLEND_BACK, FORWARD, Walk},
+    blend_buffers::{BLEND_BACK, BlendBuffers, FORWARD},
 };
 use crate::{
     adjoint::loss::{Mix, ssim::Dissimilarity},
@@ -24,7 +24,7 @@ use crate::{
 /// binds.
 pub(super) const CHUNK_BYTES: usize = 1 << 27;
 /// Vectors of worlds at a time: their planes are workgroups along z, at most 65535.
-const MOST_QUADS: usize = 4096;
+const MAX_QUADS: usize = 4096;
 /// Values a pixel.
 const CHANNELS: usize = 3;
 /// Slopes per value.
@@ -150,7 +150,7 @@ pub(super) struct Chunks {
 /// `marks` bytes of transmittances are retained for each.
 fn together(quads: usize, bytes: usize, pixels: usize, marks: usize) -> usize {
     let slopes = 4 * QUAD * CHANNELS * KINDS * pixels;
-    (bytes / slopes.max(marks).max(1)).clamp(1, quads.clamp(1, MOST_QUADS))
+    (bytes / slopes.max(marks).max(1)).clamp(1, quads.clamp(1, MAX_QUADS))
 }
 
 impl Chunks {
@@ -191,7 +191,7 @@ impl Chunks {
     }
 
     /// Records all chunks, one after the other; then the losses.
-    pub(super) fn record(&self, walk: &Walk, recording: &mut Recording) {
+    pub(super) fn record(&self, walk: &BlendBuffers, recording: &mut Recording) {
         let [columns, rows] = walk.grid;
         for Chunk { batch, quads, planes } in &self.chunks {
             let lists = walk.lists(batch, &self.marks);

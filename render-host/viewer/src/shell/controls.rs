@@ -102,10 +102,10 @@ impl Controls {
     }
 
     /// Lets `dt` seconds pass: 1 the clip began again, 2 it ended, 4 it waits for a base level, or nothing of
-    /// these. It waits up to `patience` seconds for frames of `missing`: first and past of each range.
-    pub fn advance(&mut self, dt_s: f64, patience_s: f64, missing: &[u32]) -> u32 {
+    /// these. It waits up to `base_timeout` seconds for frames of `missing`: first and past of each range.
+    pub fn advance(&mut self, dt_s: f64, base_timeout_s: f64, missing: &[u32]) -> u32 {
         let is_missing = |frame| missing.chunks_exact(2).any(|range| (range[0]..range[1]).contains(&frame));
-        let step = self.playback.advance(dt_s, patience_s, |frame| !is_missing(frame));
+        let step = self.playback.advance(dt_s, base_timeout_s, |frame| !is_missing(frame));
         u32::from(step.looped) | u32::from(step.ended) << 1 | u32::from(step.stalled) << 2
     }
 

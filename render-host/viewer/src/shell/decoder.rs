@@ -164,8 +164,8 @@ impl Decoder {
 
     /// How long a clock waits for a base level, seconds.
     #[wasm_bindgen(getter)]
-    pub fn patience(&self) -> f64 {
-        self.session.patience_s()
+    pub fn base_timeout(&self) -> f64 {
+        self.session.base_timeout_s()
     }
 
     /// Frames whose base a clock waits for: first and past of each range.

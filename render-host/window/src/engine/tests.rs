@@ -58,7 +58,7 @@ fn a_file_comes_in_pieces_as_it_is_wished_for() {
     feeder.arrivals.send(Arrival::Front { bytes: first, length }).unwrap();
     engine.tick(0.0, None, SIZE).unwrap();
     let mut wishes = 0;
-    while let Ok(Wish::Bytes(range)) = feeder.wishes.try_recv() {
+    while let Ok(FeedRequest::Bytes(range)) = feeder.wishes.try_recv() {
         let bytes = file[range.start as usize..range.end as usize].to_vec();
         feeder.arrivals.send(Arrival::Piece { at: range.start, bytes }).unwrap();
         engine.tick(0.0, None, SIZE).unwrap();
@@ -105,7 +105,9 @@ fn a_server_hears_where_the_camera_is_once_and_again_when_it_moves() {
     let said = |engine: &mut Engine, at: f64| -> Vec<ViewerPose> {
         engine.tick(at, None, SIZE).unwrap();
         let wishes = feeder.wishes.try_iter();
-        wishes.filter_map(|wish| if let Wish::Sight(pose) = wish { Some(pose) } else { None }).collect()
+        wishes
+            .filter_map(|wish| if let FeedRequest::Sight(pose) = wish { Some(pose) } else { None })
+            .collect()
     };
     let first = said(&mut engine, 0.0);
     assert_eq!((first.len(), said(&mut engine, 0.1).len()), (1, 0));
@@ -132,8 +134,11 @@ fn a_server_emulates_the_network_that_is_wished_for_or_the_window_does() {
         engine.act(Act::Loss(0.05), SIZE).unwrap();
         let wishes: Vec<_> = feeder.wishes.try_iter().collect();
         let wished =
-            wishes.iter().find_map(|wish| if let Wish::Network(it) = wish { Some(*it) } else { None });
-        assert!(wished.is_some_and(|it| it.loss == loss) && wishes.contains(&Wish::From(0.0)), "{wishes:?}");
+            wishes.iter().find_map(|wish| if let FeedRequest::Network(it) = wish { Some(*it) } else { None });
+        assert!(
+            wished.is_some_and(|it| it.loss == loss) && wishes.contains(&FeedRequest::From(0.0)),
+            "{wishes:?}"
+        );
         assert!(engine.title().contains(&format!("{:.0} % of packets lost", 100.0 * loss)));
         assert!(here(&engine).is_perfect(), "until it has answered");
     }

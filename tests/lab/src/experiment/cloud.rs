@@ -30,9 +30,9 @@ pub(super) struct Cloud {
 
 /// Numbers from a seed: a 64-bit linear congruence, top bits.
 #[derive(Clone, Debug)]
-pub(super) struct Numbers(pub(super) u64);
+pub(super) struct TestRng(pub(super) u64);
 
-impl Numbers {
+impl TestRng {
     /// Uniform in 0..1.
     pub(super) fn unit(&mut self) -> f32 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -53,12 +53,12 @@ impl Numbers {
 /// `n` Gaussians: scales of 0.012 (shells 0.013) times a log-normal of σ = 0.4, opacities the logistic of
 /// a normal of σ = 1.5.
 pub(super) fn cloud(kind: CloudShape, n: usize) -> Cloud {
-    let mut r = Numbers(7);
+    let mut r = TestRng(7);
     let shells: Vec<[[f32; 3]; 3]> = (0..LATTICE.clusters)
         .map(|_| [[-0.9, 0.9], [0.08, 0.3], [0.0, 1.0]].map(|[a, b]| [0; 3].map(|_| r.between(a, b))))
         .collect();
     let mut one = |i: usize| {
-        let grow = |size: f32, r: &mut Numbers| size * (0.4 * r.normal()).exp();
+        let grow = |size: f32, r: &mut TestRng| size * (0.4 * r.normal()).exp();
         let (position, scale, colour, cluster, bias) = match kind {
             CloudShape::Volume => {
                 let position = [0; 3].map(|_| r.between(-1.0, 1.0));

@@ -73,7 +73,7 @@ impl Size {
         format!(
             "synthetic sheet with four modes, {} Gaussians over {} frames, towards pictures of one with {} \
             (same motion), \
-             {} measuring cameras at {side}x{side}, tested on 2 held-out cameras and 2 frames, black \
+             {} validation cameras at {side}x{side}, tested on 2 held-out cameras and 2 frames, black \
              background, profile dgs1 with packets of 400 bytes and blocks of 16, {} updates of {} worlds",
             self.gaussians,
             self.frames,
@@ -120,10 +120,10 @@ impl Study {
             Ok(references)
         };
         let all: Vec<u32> = (0..=last).collect();
-        let training = pictures(Ring::Measuring, size.cameras, &all)?;
+        let training = pictures(Ring::Validation, size.cameras, &all)?;
         let test = pictures(Ring::HeldOut, 2, &[last / 3, last])?;
         let coding = coding();
-        let encoded = encode::encode(&scene, &coding, &trainer_host::encode::unheard)?;
+        let encoded = encode::encode(&scene, &coding, &trainer_host::encode::no_progress)?;
         Ok(Self { scene, training, test, encoded, coding, size })
     }
 
@@ -133,7 +133,7 @@ impl Study {
     /// What the encoder refuses.
     pub(super) fn protected(self, repair: Protection) -> Result<Self> {
         let coding = EncodeOptions { repair, ..self.coding };
-        let encoded = encode::encode(&self.scene, &coding, &trainer_host::encode::unheard)?;
+        let encoded = encode::encode(&self.scene, &coding, &trainer_host::encode::no_progress)?;
         Ok(Self { encoded, coding, ..self })
     }
 

@@ -9,7 +9,7 @@ use anyhow::{Result, ensure};
 
 use self::{
     coders::{Arena, Coder, Decoded, Many, Naive, Scalar, Small},
-    law::{Law, Packets},
+    law::{Distribution, Packets},
 };
 use super::clock::seconds;
 use crate::{
@@ -38,7 +38,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
              every round trip is checked"
         ),
     );
-    for law in Law::all() {
+    for law in Distribution::all() {
         measure(&mut bench, Packets::draw(law, count, LIMIT, 7)?, runs)?;
     }
     Ok(bench)

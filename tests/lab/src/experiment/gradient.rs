@@ -20,7 +20,7 @@ use trainer_host::viewpoint::{Framing, Ring};
 
 use super::{
     clock::milliseconds_of,
-    cloud::{CloudShape, Numbers, beside, camera, cloud},
+    cloud::{CloudShape, TestRng, beside, camera, cloud},
 };
 use crate::{
     figures::{Bench, Figure, median},
@@ -50,7 +50,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
 
 /// Figure 5: every class of parameters on scenes of every degree.
 fn checks(bench: &mut Bench, runs: usize) -> Result<()> {
-    let mut r = Numbers(3);
+    let mut r = TestRng(3);
     let camera = Camera::look_at([1.9, -2.1, 1.45], [0.1, 0.0, -0.05], [0.0, 0.0, 1.0], 0.95, 24, 18)?;
     let target = Image::new(24, 18, (0..3 * 24 * 18).map(|_| r.unit()).collect())?;
     let settings = Settings { background: [0.3, 0.6, 0.1], ..Settings::exact() };
@@ -241,7 +241,7 @@ pub(super) fn along_colours(
 ) -> Result<f64> {
     let got = render_and_gradients(&mut Workspace::new(), splats, camera, settings, loss)?;
     let step = 1.0 / 2048.0;
-    let mut r = Numbers(17);
+    let mut r = TestRng(17);
     let n = splats.len();
     let mut change: Vec<[f32; 3]> = (0..n).map(|_| [0; 3].map(|_| r.between(-1.0, 1.0))).collect();
     // Only what raises the loss is added up, so that the sum does not cancel.

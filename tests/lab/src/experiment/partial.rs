@@ -7,7 +7,7 @@ use render_host::{
     counterfactual::{Lattice, States, Variants, brute},
 };
 
-use super::cloud::{Cloud, CloudShape, LATTICE, Numbers, beside, camera, cloud};
+use super::cloud::{Cloud, CloudShape, LATTICE, TestRng, beside, camera, cloud};
 
 /// States that brute force renders per round; its time is scaled to all.
 pub(super) const STATES_ALONE: usize = 16;
@@ -66,7 +66,7 @@ pub(crate) fn deliveries(worlds: usize) -> States {
 /// What `worlds` receivers of clusters and levels of `lattice` may hold: a random number of levels of each
 /// cluster, none of one in ten. A lattice of as many groups as [`LATTICE`] cuts the same scenes otherwise.
 pub(crate) fn deliveries_of(lattice: Lattice, worlds: usize) -> States {
-    let mut r = Numbers(99);
+    let mut r = TestRng(99);
     let mut states = States::new(lattice.groups());
     for _ in 0..worlds {
         let mut depth = || match r.unit() < 0.1 {

@@ -13,7 +13,7 @@ use dgs::{
     args::{CodecArgs, ProfileName, SceneArgs},
     pipeline::{self, Quiet},
 };
-use dgs_quic::socket::{ClientConfig, Headless, Offer, PlayReport, ServerReport, ViewerReport, play};
+use dgs_quic::socket::{ClientConfig, NullSink, PlayReport, ServedStream, ServerReport, ViewerReport, play};
 use tokio::runtime::{Builder, Runtime};
 
 use self::serving::Serving;
@@ -157,7 +157,7 @@ fn measure(sizes: &Sizes, quiet: Quiet) -> Result<Measured> {
 /// All viewers play the clip; their reports, and the memory of the process while they do.
 fn watch(runtime: &Runtime, config: &ClientConfig, viewers: usize) -> Result<(Vec<PlayReport>, Option<f64>)> {
     let task = |config: ClientConfig| async move {
-        play(&config, &mut Headless, std::future::pending()).await.whole()
+        play(&config, &mut NullSink, std::future::pending()).await.whole()
     };
     let tasks: Vec<_> = (0..viewers).map(|_| task(config.clone())).collect();
     runtime.block_on(async {
@@ -184,7 +184,7 @@ fn watch(runtime: &Runtime, config: &ClientConfig, viewers: usize) -> Result<(Ve
 }
 
 /// The stream that everybody watches.
-fn offer(sizes: &Sizes, quiet: Quiet) -> Result<Offer> {
+fn offer(sizes: &Sizes, quiet: Quiet) -> Result<ServedStream> {
     let args = SceneArgs { fps: Some(sizes.frames_per_second), ..setup::scene_args(sizes.gaussians) };
     let scene = pipeline::import(&format!("synth:cloth:{}:{FRAMES}", sizes.gaussians), &args)?.scene;
     let codec = CodecArgs {
@@ -197,7 +197,7 @@ fn offer(sizes: &Sizes, quiet: Quiet) -> Result<Offer> {
     let stream = pipeline::encode(&scene, &options, quiet)?.stream;
     let map = trainer_host::stream::PacketMap::of(&stream)?;
     let graph = pipeline::graph(&stream, &map, None)?;
-    Ok(Offer::new("cloth", &stream, graph)?)
+    Ok(ServedStream::new("cloth", &stream, graph)?)
 }
 
 /// Bytes of this process in memory.

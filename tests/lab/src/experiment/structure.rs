@@ -1,4 +1,4 @@
-//! Counts the structure of the source: lines, public items, circles, crates, lengths of examples.
+//! Counts the structure of the source: lines, public items, cycles, crates, lengths of examples.
 
 use std::{
     collections::BTreeSet,
@@ -11,7 +11,7 @@ use anyhow::{Context, Result, ensure};
 use crate::{
     figures::{Bench, Figure},
     setup::Setup,
-    source::{Floor, Tree, circles, lines, outside_tests, public_items, walks},
+    source::{CodeKind, Tree, cycles, lines, outside_tests, public_items, walks},
 };
 
 /// Runs the bench.
@@ -19,7 +19,7 @@ pub fn run(_: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "structure",
         "lines of Rust that are neither blank nor comment, inline tests counted as tests; public items: \
-         what a user of a crate can name, methods and module `internals` left out; circles: files of a \
+         what a user of a crate can name, methods and module `internals` left out; cycles: files of a \
          crate that need each other, by `use`, by path and in macros, names followed to the file that \
          declares the thing; walks: files that tests/lab/WALKS.md enters; crates: what `cargo build \
          --package dgs` compiles, build scripts' included",
@@ -32,17 +32,17 @@ pub fn run(_: &Setup) -> Result<Bench> {
     let tree = Tree::of(&root);
     let counted = lines(&tree);
     for (floor, name) in
-        [(Floor::Product, "product"), (Floor::Laboratory, "laboratory"), (Floor::Tests, "tests")]
+        [(CodeKind::Product, "product"), (CodeKind::Laboratory, "laboratory"), (CodeKind::Tests, "tests")]
     {
         let count = counted.get(&floor).copied().unwrap_or(0);
         bench.push(Figure::new(format!("lines.{name}"), count as f64, "lines"));
     }
     for (name, folder) in tree.libraries() {
-        let circles = circles(&tree, &folder);
-        let files: usize = circles.iter().map(Vec::len).sum();
+        let cycles = cycles(&tree, &folder);
+        let files: usize = cycles.iter().map(Vec::len).sum();
         bench.push(Figure::new(format!("public_items.{name}"), public_items(&tree, &folder) as f64, "items"));
-        bench.push(Figure::new(format!("circles.{name}"), circles.len() as f64, "circles"));
-        bench.push(Figure::new(format!("circles.{name}.files"), files as f64, "files"));
+        bench.push(Figure::new(format!("cycles.{name}"), cycles.len() as f64, "cycles"));
+        bench.push(Figure::new(format!("cycles.{name}.files"), files as f64, "files"));
     }
     for walk in walks(&tree) {
         let (key, entries) = (format!("walk.{}", walk.name), walk.entries());

@@ -32,7 +32,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         "utility",
         format!(
             "D = MSE + 0.20 (1 - SSIM) against the source's own render, default encode of each scene, \
-             measuring ring at 160x160; contexts: random states, 3 cameras, one frame per span and camera; \
+             validation ring at 160x160; contexts: random states, 3 cameras, one frame per span and camera; \
              complete: all else arrived, 8 cameras; peer: each state decoded, rendered and compared alone, \
              every {EVERY}th cell (1 context), its time scaled to all cells and contexts; error: worst \
              mean of those cells, of the largest; {}",
@@ -59,7 +59,7 @@ fn measure(bench: &mut Bench, key: &str, scene: &Scene, setup: &Setup) -> Result
     let stream = pipeline::encode(scene, &options, Quiet(true))?.stream;
     let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
     let content = received.content();
-    let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (160, 160))?;
+    let cameras = Framing::of(scene).ring(Ring::Validation, 3, (160, 160))?;
     let rings = utility::truncation_cameras(scene)?;
     let gain_cameras = utility::gain_cameras(scene)?;
     let (paper, complete) = (utility::UtilityOptions::paper(), utility::UtilityOptions::complete());

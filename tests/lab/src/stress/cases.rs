@@ -41,9 +41,9 @@ pub fn discs(opacity: f32) -> StressCase {
 }
 
 /// Numbers from a seed (a 64-bit linear congruence; top bits), uniform in 0..1.
-struct Numbers(u64);
+struct TestRng(u64);
 
-impl Numbers {
+impl TestRng {
     fn between(&mut self, low: f32, high: f32) -> f32 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         low + (high - low) * ((self.0 >> 40) as f32 / (1u64 << 24) as f32)
@@ -207,7 +207,7 @@ fn inside(out: &mut Vec<StressCase>) {
         let g = Gaussian { position: [0.01, -0.02, distance - 4.0], scale: [scale; 3], ..ball() };
         out.push(small(family, name, g));
     }
-    let mut cloud = Numbers(5).cloud(60, 3.0);
+    let mut cloud = TestRng(5).cloud(60, 3.0);
     cloud.iter_mut().for_each(|g| g.position[2] -= 4.0);
     out.push(plain(family, "inside sixty", cloud, camera(48, 32)));
 }
@@ -217,13 +217,13 @@ fn far(out: &mut Vec<StressCase>) {
     for (name, offset) in
         [("x", [1e6, 0.0, 0.0]), ("all axes", [1e6f32; 3]), ("negative", [-1e6; 3]), ("1e9", [1e9; 3])]
     {
-        let mut cloud = Numbers(7).cloud(60, 0.4);
+        let mut cloud = TestRng(7).cloud(60, 0.4);
         cloud.iter_mut().for_each(|g| g.position = std::array::from_fn(|k| g.position[k] + offset[k]));
         let eye = std::array::from_fn(|k| f64::from(-offset[k]) + if k == 2 { 4.0 } else { 0.0 });
         let moved = Camera::new(camera(48, 32).intrinsics(), IDENTITY, eye);
         out.push(plain(family, format!("scene and camera at {name}"), cloud, fallback(moved)));
     }
-    let mut cloud = Numbers(8).cloud(40, 3e5);
+    let mut cloud = TestRng(8).cloud(40, 3e5);
     cloud.iter_mut().for_each(|g| g.position = g.position.map(|p| 1e6 * p));
     let distant = Camera::new(camera(48, 32).intrinsics(), IDENTITY, [0.0, 0.0, 4e6]);
     out.push(plain(family, "scene a million wide", cloud, fallback(distant)));
@@ -239,14 +239,14 @@ fn far(out: &mut Vec<StressCase>) {
 
 fn ties(out: &mut Vec<StressCase>) {
     let family = "coincident depths, duplicates";
-    let mut plane = Numbers(9).cloud(200, 0.3);
+    let mut plane = TestRng(9).cloud(200, 0.3);
     plane.iter_mut().for_each(|g| g.position[2] = 0.25);
     out.push(plain(family, "200 at one depth", plane, camera(48, 32)));
     out.push(plain(family, "50 equal ones", vec![ball(); 50], camera(48, 32)));
-    let mut twice = Numbers(10).cloud(60, 0.3);
+    let mut twice = TestRng(10).cloud(60, 0.3);
     twice.extend_from_within(..);
     out.push(plain(family, "60 twice", twice, camera(48, 32)));
-    let mut close = Numbers(11).cloud(200, 0.3);
+    let mut close = TestRng(11).cloud(200, 0.3);
     close
         .iter_mut()
         .enumerate()
@@ -280,7 +280,7 @@ fn harmonics(out: &mut Vec<StressCase>) {
 fn image_sizes(out: &mut Vec<StressCase>) {
     let family = "film sizes";
     for (w, h) in [(1, 1), (2, 1), (16, 16), (17, 15), (8192, 3), (3, 8192), (8192, 40), (16_384, 1)] {
-        let mut cloud = Numbers(12).cloud(40, 0.4);
+        let mut cloud = TestRng(12).cloud(40, 0.4);
         // Spread over the wide images, which show more of the world.
         let aspect = f64::from(w) / f64::from(h);
         cloud.iter_mut().for_each(|g| g.position[0] *= aspect.clamp(1.0, 400.0) as f32);
@@ -305,7 +305,7 @@ fn settings(out: &mut Vec<StressCase>) {
             Settings { half_attributes: true, low_pass: 0.0, ..Settings::default() },
         ),
     ] {
-        let mut cloud = Numbers(13).cloud(100, 0.3);
+        let mut cloud = TestRng(13).cloud(100, 0.3);
         for (i, exponent) in (-12..=6).enumerate() {
             cloud[i].scale = [10f32.powi(exponent), 0.1, 0.1];
             cloud[30 + i].scale = [10f32.powi(exponent); 3];
@@ -313,7 +313,7 @@ fn settings(out: &mut Vec<StressCase>) {
         out.push(StressCase { settings, bound: None, ..plain(family, name, cloud, camera(48, 32)) });
     }
     let exact = "nothing cut, nothing stopped";
-    let cloud = Numbers(14).cloud(500, 0.4);
+    let cloud = TestRng(14).cloud(500, 0.4);
     out.push(StressCase {
         settings: Settings::exact(),
         ..plain("exact settings", exact, cloud, camera(48, 32))
@@ -343,7 +343,7 @@ fn crowds(out: &mut Vec<StressCase>, million: usize) {
         let case = plain(family, format!("{million} {name}, {w} x {h}"), vec![g; million], camera(w, h));
         out.push(StressCase { skipped: Some(0), ..case });
     }
-    let mut walls = Numbers(15).cloud(million / 50, 1e5);
+    let mut walls = TestRng(15).cloud(million / 50, 1e5);
     let side = if few { 104 } else { 1024 };
     walls.iter_mut().for_each(|g| g.opacity = 0.3);
     let case = plain(

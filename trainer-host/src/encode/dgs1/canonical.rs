@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::{
     super::{
-        EncodeError, EncodeOptions, Quality,
+        EncodeError, EncodeOptions, QuantiserSteps,
         decisions::{ClusterDecisions, EpochDecisions},
         packetise::CellSymbols,
         quantiser_class::EpochClasses,
@@ -39,7 +39,7 @@ pub(super) fn plain(
     options: &EncodeOptions,
 ) -> Result<(Vec<Quant>, Grid), EncodeError> {
     let grid = Grid::of(epoch, steps::DGS1_MOST_RATIO);
-    let of_class = |(class_index, quality): (usize, &Quality)| {
+    let of_class = |(class_index, quality): (usize, &QuantiserSteps)| {
         let quant = |decorrelated: [bool; Class::COUNT]| {
             let predicted = [false; Class::COUNT + Class::MOVING];
             steps::dgs1(quality, &grid, epoch.frames(), &predicted, &decorrelated)
@@ -58,7 +58,7 @@ pub(super) fn plain(
         let decorrelated = bits(&quant(Class::ALL.map(Class::decorrelates))?);
         let values = sets.iter().map(|set| set.len()).sum::<usize>() as f64;
         let pays = Class::ALL.map(|class| {
-            let margin = LEAST_GAIN * values * class.components() as f64;
+            let margin = MIN_GAIN * values * class.components() as f64;
             class.decorrelates() && decorrelated[class.index()] + margin < plain[class.index()]
         });
         quant(pays)
@@ -70,7 +70,7 @@ pub(super) fn plain(
 
 /// Bits per value that decorrelating must save: sums of independent values are closer to their mean than the
 /// values, for what they cost.
-const LEAST_GAIN: f64 = 0.1;
+const MIN_GAIN: f64 = 0.1;
 
 /// What is decided of an epoch's canonical cells: quantisers, clusters, origin.
 pub(super) type Decided = (Vec<Quant>, Vec<ClusterDecisions>, [f32; 3]);

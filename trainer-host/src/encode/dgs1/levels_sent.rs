@@ -91,12 +91,17 @@ mod tests {
         };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let options = EncodeOptions { keep_invisible: true, ..EncodeOptions::default() };
-        let whole = encode(&scene, &options, &crate::encode::unheard).unwrap();
+        let whole = encode(&scene, &options, &crate::encode::no_progress).unwrap();
         let manifest = whole.stream.manifest().unwrap();
         let highest: Vec<Level> = (0..manifest.cells()).map(|c| Level::ALL[(c * 7 / 3) % 4]).collect();
-        let cut =
-            with_levels(&scene, &whole.decisions, &highest, options.table_choices, &crate::encode::unheard)
-                .unwrap();
+        let cut = with_levels(
+            &scene,
+            &whole.decisions,
+            &highest,
+            options.table_choices,
+            &crate::encode::no_progress,
+        )
+        .unwrap();
         assert_eq!(whole.order, cut.order);
         assert!(cut.report.ledger.wire() < 0.9 * whole.report.ledger.wire());
         let (received, received_cut) = (whole.stream.receive().unwrap(), cut.stream.receive().unwrap());

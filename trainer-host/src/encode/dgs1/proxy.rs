@@ -131,7 +131,7 @@ mod tests {
             sh_degree: ShDegree::ZERO,
         };
         let scene = Scene::new(vec![Epoch::new(1, attributes).unwrap()], 30.0).unwrap();
-        let stream = encode(&scene, &EncodeOptions::default(), &crate::encode::unheard).unwrap().stream;
+        let stream = encode(&scene, &EncodeOptions::default(), &crate::encode::no_progress).unwrap().stream;
         let received = stream.receive().unwrap();
         let content = received.content();
         let none = vec![0u8; content.blocks.len()];
@@ -160,9 +160,9 @@ mod tests {
             synth::SynthOptions { gaussians: 1000, frames: 1, kind: SynthKind::Balls, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let options = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
-        let mut decisions = encode(&scene, &options, &crate::encode::unheard).unwrap().decisions;
+        let mut decisions = encode(&scene, &options, &crate::encode::no_progress).unwrap().decisions;
         let shown = |decisions: &Decisions| -> Vec<Gaussian> {
-            let stream = write(&scene, decisions, &crate::encode::unheard).unwrap().stream;
+            let stream = write(&scene, decisions, &crate::encode::no_progress).unwrap().stream;
             let received = stream.receive().unwrap();
             let content = received.content();
             let none = vec![0u8; content.blocks.len()];
@@ -192,7 +192,7 @@ mod tests {
             if let Decisions::Dgs1(decided) = &mut decisions {
                 change(&mut decided.epochs[0].proxy_changes);
             }
-            write(&scene, &decisions, &crate::encode::unheard).unwrap_err().to_string()
+            write(&scene, &decisions, &crate::encode::no_progress).unwrap_err().to_string()
         };
         assert!(refused(&|changes| changes.truncate(1)).contains("proxy_changes"));
         assert!(refused(&|changes| changes[1].opacity = f32::NAN).contains("block 1"));

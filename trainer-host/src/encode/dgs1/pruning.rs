@@ -8,7 +8,7 @@ use crate::scene::{Epoch, Track};
 
 /// Renderers draw nothing below opacity 1/255 (source: 3DGS), whose logit is −ln 254; the rest is a
 /// margin for their rounding.
-const LEAST_LOGIT: f32 = -5.537_334 - 1e-4;
+const MIN_LOGIT: f32 = -5.537_334 - 1e-4;
 
 /// Squared error, in steps, that a bit is worth: at high rate one bit more quarters an error of
 /// 1/12, so at the margin it buys ln 4 / 12.
@@ -20,8 +20,7 @@ pub(super) fn drawn(epoch: &Epoch, sets: Vec<Vec<u32>>) -> Vec<Vec<u32>> {
     let logits = match &epoch.attributes().opacity_logits {
         Track::Constant(values) | Track::PerFrame(values) => values.as_slice(),
     };
-    let is_drawn =
-        |i: &u32| logits.chunks(epoch.count().max(1)).any(|frame| frame[*i as usize] >= LEAST_LOGIT);
+    let is_drawn = |i: &u32| logits.chunks(epoch.count().max(1)).any(|frame| frame[*i as usize] >= MIN_LOGIT);
     sets.into_par_iter()
         .map(|set| set.into_iter().filter(is_drawn).collect::<Vec<u32>>())
         .filter(|set| !set.is_empty())

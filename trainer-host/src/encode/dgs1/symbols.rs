@@ -239,14 +239,14 @@ mod tests {
             SynthOptions { gaussians: 1200, frames: 8, kind: SynthKind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let options = EncodeOptions { pictures: 0, window_frames: Some(4), ..Default::default() };
-        let moving = encode(&scene, &options, &crate::encode::unheard).unwrap();
+        let moving = encode(&scene, &options, &crate::encode::no_progress).unwrap();
         assert!(bases(&moving.decisions) > 0);
         // Nothing moves: no track has anything to say.
-        let still = write(&jumpy(&scene, 8), &moving.decisions, &crate::encode::unheard).unwrap();
+        let still = write(&jumpy(&scene, 8), &moving.decisions, &crate::encode::no_progress).unwrap();
         // Tracks of nothing are coded to a step of the quantiser.
         assert!(furthest(&still.stream) < 1e-3);
         // It jumps: tracks have more frequencies.
-        let jumping = write(&jumpy(&scene, 2), &moving.decisions, &crate::encode::unheard).unwrap();
+        let jumping = write(&jumpy(&scene, 2), &moving.decisions, &crate::encode::no_progress).unwrap();
         assert!(furthest(&jumping.stream) > 1e-2, "{}", furthest(&jumping.stream));
         // Nothing moved when tables were decided, but tracks were.
         let mut decisions = moving.decisions.clone();
@@ -254,14 +254,14 @@ mod tests {
             let windows = decisions.epochs.iter_mut().flat_map(|epoch| &mut epoch.windows);
             windows.flat_map(|w| &mut w.motions).for_each(|motion| motion.table_indices[0].clear());
         }
-        let again = write(&scene, &decisions, &crate::encode::unheard).unwrap();
+        let again = write(&scene, &decisions, &crate::encode::no_progress).unwrap();
         let (mut a, mut b) = (moving.stream.receive().unwrap(), again.stream.receive().unwrap());
         assert_eq!(a.frame(5).unwrap().gaussians, b.frame(5).unwrap().gaussians);
         // Of anything else a table is missed.
         if let Decisions::Dgs1(decisions) = &mut decisions {
             decisions.epochs[0].clusters[0].table_indices[0].clear();
         }
-        let error = write(&scene, &decisions, &crate::encode::unheard).unwrap_err().to_string();
+        let error = write(&scene, &decisions, &crate::encode::no_progress).unwrap_err().to_string();
         assert!(error.contains("epoch 0, cluster 0: table_indices is too few"), "{error}");
     }
 }

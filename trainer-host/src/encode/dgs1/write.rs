@@ -3,7 +3,7 @@
 use codec_core::internals::{
     ids::{Level, Span},
     quant::Class,
-    rans::lanes::{HEAD_BYTES, LEAST_PLANE_BYTES},
+    rans::lanes::{HEAD_BYTES, MIN_PLANE_BYTES},
     wire::{manifest::stream, packet::PARITY_OVERHEAD_BYTES},
 };
 use rayon::prelude::*;
@@ -142,6 +142,6 @@ fn ledger(scene: &Scene, epochs: &[EpochSymbols], model: &Model, sent: u64) -> L
     ledger.raw_symbols = 2.0 * ledger.symbols as f64;
     ledger.empirical_entropy = streams.entropy_bits() / 8.0;
     let bits: f64 = ledger.shares.iter().map(|s| s.bits).sum();
-    ledger.monolithic = (bits / 8.0 + ledger.table_indices).ceil() + (HEAD_BYTES + LEAST_PLANE_BYTES) as f64;
+    ledger.monolithic = (bits / 8.0 + ledger.table_indices).ceil() + (HEAD_BYTES + MIN_PLANE_BYTES) as f64;
     ledger
 }

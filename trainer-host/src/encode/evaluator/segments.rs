@@ -37,7 +37,7 @@ pub struct Point {
     /// Bytes of the segment up to this level; media packets only, neither manifest nor parity.
     pub cumulative_bytes: u64,
     /// PSNR of the segment's frames with every level up to this one, of everything, dB: mean over
-    /// measuring cameras and frames.
+    /// validation cameras and frames.
     pub psnr_db: f64,
 }
 
@@ -68,7 +68,7 @@ pub fn segments(scene: &Scene, stream: &Stream, frames: u32) -> Result<Vec<Segme
         }
     }
     for segment in &mut segments {
-        let evaluator = Evaluator::measuring(scene, spread(segment.first_frame, segment.frames, frames))?;
+        let evaluator = Evaluator::validation(scene, spread(segment.first_frame, segment.frames, frames))?;
         let mut cumulative = 0;
         for (level, point) in Level::ALL.into_iter().zip(&mut segment.levels) {
             let keep = (2u8 << level.get()) - 1;
@@ -124,7 +124,7 @@ mod tests {
             let options = synth::SynthOptions { gaussians: 1000, frames: 40, kind, ..Default::default() };
             let scene = synth::make(&options, &Limits::default()).unwrap();
             let options = EncodeOptions { repair: Protection::xor(4), ..EncodeOptions::default() };
-            let encoded = encode(&scene, &options, &crate::encode::unheard).unwrap();
+            let encoded = encode(&scene, &options, &crate::encode::no_progress).unwrap();
             let segments = segments(&scene, &encoded.stream, 1).unwrap();
             assert!(segments.len() >= windows);
             assert_eq!(segments.iter().map(|s| s.frames).sum::<u32>(), 40);

@@ -1,7 +1,7 @@
 //! Holds the quantiser classes of one epoch: its clusters, which class each is in, and the steps of the
 //! classes.
 
-use crate::encode::Quality;
+use crate::encode::QuantiserSteps;
 
 /// The classes of one epoch.
 #[derive(Clone, Debug)]
@@ -11,7 +11,7 @@ pub(in crate::encode) struct EpochClasses<'s> {
     /// Class of each Gaussian of the epoch.
     pub of: &'s [u8],
     /// Steps of each class.
-    pub qualities: Vec<Quality>,
+    pub qualities: Vec<QuantiserSteps>,
 }
 
 impl EpochClasses<'_> {

@@ -11,7 +11,7 @@ use codec_core::internals::quant::Class;
 use super::epoch_classes::EpochClasses;
 use crate::{
     encode::{
-        EncodeError, EncodeOptions, Quality, cluster,
+        EncodeError, EncodeOptions, QuantiserSteps, cluster,
         dgs1::{
             indices::{indices, spread_bits},
             rate_estimate::PER_D,
@@ -27,7 +27,7 @@ const FINER: u32 = 4;
 /// Clusters of a class that are looked at, about.
 const CLUSTERS: usize = 24;
 /// Bits by which a finer step must be better, per value.
-const LEAST_GAIN: f64 = 0.02;
+const MIN_GAIN: f64 = 0.02;
 /// Bits of a run's choice of a table.
 const TABLE_INDEX_BITS: f64 = 2.0;
 /// Bits that a value of its own in a table takes.
@@ -45,7 +45,7 @@ pub(super) fn finer(
     let positions = epoch.attributes().positions.frame(0, epoch.count());
     let grid = Grid::of(epoch, DGS1_MOST_RATIO);
     let thirds = 3f32.powi(FINER as i32);
-    let of_class = |(class_index, quality): (usize, &Quality)| {
+    let of_class = |(class_index, quality): (usize, &QuantiserSteps)| {
         let own: Vec<&Vec<u32>> = classes.sets.iter().filter(|set| classes.of(set) == class_index).collect();
         let quality = quality.scaled(1.0 / thirds);
         let plain = [false; Class::COUNT + Class::MOVING];
@@ -71,7 +71,7 @@ pub(super) fn finer(
                 let ratio = 3i32.pow(FINER - finer);
                 let bits: f64 = components().map(|values| bits(values, ratio, options.block_len)).sum();
                 let cost = bits / count.max(1.0) + PER_D * 9f64.powi(-(finer as i32));
-                if cost + LEAST_GAIN < best {
+                if cost + MIN_GAIN < best {
                     (best, *factor) = (cost, 3f32.powi(-(finer as i32)));
                 }
             }
@@ -156,8 +156,8 @@ mod tests {
         let scene = Scene::new(vec![Epoch::new(1, attributes).unwrap()], 30.0).unwrap();
         let options = EncodeOptions::default();
         let classes = QuantiserClasses::one(&scene, &options).unwrap();
-        let steps = classes.of_epoch(0, &Quality::default()).qualities[0];
-        assert!(steps.opacity < 0.2 * Quality::default().opacity, "{steps:?}");
-        assert_eq!(steps.sh0, Quality::default().sh0);
+        let steps = classes.of_epoch(0, &QuantiserSteps::default()).qualities[0];
+        assert!(steps.opacity < 0.2 * QuantiserSteps::default().opacity, "{steps:?}");
+        assert_eq!(steps.sh0, QuantiserSteps::default().sh0);
     }
 }

@@ -20,9 +20,9 @@ type Sparse = Vec<(i16, f32)>;
 
 /// A table set must save this many bits by a further table: its bytes in the manifest, twice over,
 /// for the memory of receivers.
-const LEAST_SAVED_BITS: f64 = 64.0;
+const MIN_SAVED_BITS: f64 = 64.0;
 /// … and this share of the stream.
-const LEAST_SAVED_SHARE: f64 = 4e-4;
+const MIN_SAVED_SHARE: f64 = 4e-4;
 
 /// Bits by which a table outside the family must beat those inside.
 const OWN_BITS: f64 = 1000.0;
@@ -69,7 +69,7 @@ pub(super) fn choose(runs: &[&[i16]], named: &[Costs], most: usize) -> Result<Ve
         wider.push(next);
         let (wider, wider_bits) = assign(&wider, &costs);
         let wider_bits = wider_bits + wider.iter().map(|&(c, _)| wire_bits(c)).sum::<f64>();
-        if bits - wider_bits < LEAST_SAVED_BITS + LEAST_SAVED_SHARE * bits {
+        if bits - wider_bits < MIN_SAVED_BITS + MIN_SAVED_SHARE * bits {
             break;
         }
         (set, bits) = (wider, wider_bits);

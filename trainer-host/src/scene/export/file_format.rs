@@ -7,7 +7,7 @@ use codec_core::{Footprint, ShDegree};
 use super::{compressed_ply, gltf, ply, sog, splat, spz};
 use crate::scene::{
     Epoch, Up,
-    import::{Format, spz::COLOUR_SCALE, usual_up},
+    import::{Format, default_up, spz::COLOUR_SCALE},
 };
 
 /// What one frame is written as.
@@ -53,8 +53,8 @@ impl FileFormat {
     }
 
     /// Which way is up in it.
-    pub fn usual_up(self) -> Up {
-        usual_up(match self {
+    pub fn default_up(self) -> Up {
+        default_up(match self {
             Self::Ply => Format::Ply,
             Self::CompressedPly => Format::CompressedPly,
             Self::Spz => Format::Spz,
@@ -134,7 +134,7 @@ mod tests {
         assert_eq!(of("a.PLY"), Some(FileFormat::Ply));
         assert_eq!(of("b/a.x.sog"), Some(FileFormat::Sog));
         assert_eq!((of("frames"), of("a.dgs"), of(".ply")), (None, None, None));
-        assert_eq!(FileFormat::Spz.usual_up(), Up::Y);
-        assert_eq!(FileFormat::Sog.usual_up(), Up::MinusY);
+        assert_eq!(FileFormat::Spz.default_up(), Up::Y);
+        assert_eq!(FileFormat::Sog.default_up(), Up::MinusY);
     }
 }

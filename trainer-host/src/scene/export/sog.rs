@@ -21,7 +21,7 @@ use crate::scene::Epoch;
 /// Palette entries in a row of the plane of centroids.
 const PALETTE_ROW: usize = 64;
 /// Most entries of a palette: labels have 16 bits.
-const MOST_ENTRIES: usize = 65_536;
+const MAX_ENTRIES: usize = 65_536;
 
 /// Frame `t` of `epoch` as a zipped SOG, which says whether its Gaussians are dimmed as much as they are
 /// widened. `t` must be below the epoch's frame count.
@@ -127,7 +127,7 @@ pub fn encode(epoch: &Epoch, t: usize, antialiased: bool) -> io::Result<Vec<u8>>
 
 /// Entries of the palette of `n` Gaussians: a quarter of them, in steps of a thousand or so.
 fn entries(n: usize) -> usize {
-    (n / 4).next_multiple_of(1024).clamp(1024, MOST_ENTRIES).min(n.max(1))
+    (n / 4).next_multiple_of(1024).clamp(1024, MAX_ENTRIES).min(n.max(1))
 }
 
 type Archive = ZipWriter<Cursor<Vec<u8>>>;

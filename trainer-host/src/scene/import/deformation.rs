@@ -42,7 +42,7 @@ const FRAME_BYTES: u64 = 12 + 16 + 12 + 4 + 12;
 
 /// What lies beside the file of a network.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Beside<'a> {
+pub struct SidecarFiles<'a> {
     /// The Gaussians, as PLY.
     pub gaussians: Option<&'a [u8]>,
     /// The options of the training: `cfg_args`, or JSON of the same names.
@@ -73,7 +73,7 @@ pub(super) fn is_field(bytes: &[u8]) -> bool {
 /// not numbers, or more than `limits` allow.
 pub fn parse(
     bytes: &[u8],
-    beside: Beside<'_>,
+    beside: SidecarFiles<'_>,
     frames: usize,
     frames_per_second: f64,
     limits: &Limits,

@@ -34,7 +34,7 @@ const LATER: f64 = 0.01;
 /// Bytes that a Gaussian takes in one frame: its centre and its opacity.
 const FRAME_BYTES: u64 = 12 + 4;
 /// Most frames: ten hours at thirty a second.
-const MOST_FRAMES: f64 = 1_080_000.0;
+const MAX_FRAMES: f64 = 1_080_000.0;
 
 /// Reads a `.4dgs` file at `frames_per_second`.
 ///
@@ -57,14 +57,14 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
         ));
     }
     let frames = (decoded.duration_sec * frames_per_second).round().max(1.0);
-    if frames.is_nan() || frames > MOST_FRAMES {
-        let allowed = format_args!("up to {MOST_FRAMES}").to_string();
+    if frames.is_nan() || frames > MAX_FRAMES {
+        let allowed = format_args!("up to {MAX_FRAMES}").to_string();
         return Err(FORMAT.error(ErrorKind::TooLarge, "frames", frames, allowed));
     }
     let clip = Clip { decoded: &decoded, frames_per_second };
     let epochs = clip.epochs(frames as usize, limits)?;
     let mut scene = Scene::new(epochs, frames_per_second).map_err(|e| scene_error(FORMAT, &e))?;
-    scene.usual_up = up(&decoded);
+    scene.default_up = up(&decoded);
     scene.notes.push(format!("{} s sampled at {frames_per_second} frames per second", decoded.duration_sec));
     if decoded.truncated {
         scene.notes.push("the file is cut off: what came before is kept".to_owned());
@@ -269,7 +269,7 @@ pub(super) mod tests {
     fn gaussians_live_move_and_fade() {
         let bytes = sample("srgb-rec709-display");
         let scene = parse(&bytes, 4.0, &Limits::default()).unwrap();
-        assert_eq!(scene.usual_up, Some(Up::Z));
+        assert_eq!(scene.default_up, Some(Up::Z));
         assert_eq!((scene.frames(), scene.epochs().len(), scene.max_count()), (8, 2, 2));
         assert_eq!([scene.epochs()[0].count(), scene.epochs()[0].frames()], [1, 4]);
         let near = |a: f32, b: f32, by: f32| assert!((a - b).abs() <= by, "{a} and {b}");

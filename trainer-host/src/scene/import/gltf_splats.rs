@@ -28,9 +28,9 @@ const FORMAT: Format = Format::GltfSplats;
 /// Extensions that a file may need: whole numbers are read as any others, what is compressed is unfolded.
 const EXTENSIONS: [&str; 4] = [EXTENSION, "KHR_mesh_quantization", COMPRESSIONS[0], COMPRESSIONS[1]];
 /// Deepest tree of nodes.
-const MOST_DEPTH: usize = 64;
+const MAX_DEPTH: usize = 64;
 /// Most primitives, over all nodes.
-const MOST_PRIMITIVES: usize = 10_000;
+const MAX_PRIMITIVES: usize = 10_000;
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
@@ -177,8 +177,8 @@ struct Reader<'a> {
 impl Reader<'_> {
     fn node(&mut self, index: usize, parent: &Similarity, depth: usize) -> Result<(), ImportError> {
         let field = || format!("node {index}");
-        if depth > MOST_DEPTH {
-            return Err(FORMAT.malformed(field(), "a tree without end", format_args!("{MOST_DEPTH} levels")));
+        if depth > MAX_DEPTH {
+            return Err(FORMAT.malformed(field(), "a tree without end", format_args!("{MAX_DEPTH} levels")));
         }
         let document = self.document;
         let node = document
@@ -199,8 +199,8 @@ impl Reader<'_> {
         }
         for &child in &node.children {
             self.primitives += 1;
-            if self.primitives > MOST_PRIMITIVES {
-                return Err(FORMAT.malformed("nodes", "more", format_args!("up to {MOST_PRIMITIVES}")));
+            if self.primitives > MAX_PRIMITIVES {
+                return Err(FORMAT.malformed("nodes", "more", format_args!("up to {MAX_PRIMITIVES}")));
             }
             self.node(child, &whole, depth + 1)?;
         }
@@ -209,8 +209,8 @@ impl Reader<'_> {
 
     fn primitive(&mut self, primitive: &Primitive, place: Similarity) -> Result<(), ImportError> {
         self.primitives += 1;
-        if self.primitives > MOST_PRIMITIVES {
-            return Err(FORMAT.malformed("primitives", "more", format_args!("up to {MOST_PRIMITIVES}")));
+        if self.primitives > MAX_PRIMITIVES {
+            return Err(FORMAT.malformed("primitives", "more", format_args!("up to {MAX_PRIMITIVES}")));
         }
         if let Some(name) =
             primitive.extensions[EXTENSION].get("extensions").and_then(|e| e.as_object()?.keys().next())

@@ -2,7 +2,7 @@
 //!
 //! Points may be any finite floats: coincident, clustered or at the ends of the range. Squared distances
 //! are f64, which hold those of any two f32 points without overflow. Building takes O(n log n) steps. A
-//! query looks at [`MOST_VISITS`] points at most, whatever the points and the filter are, so that a file
+//! query looks at [`MAX_VISITS`] points at most, whatever the points and the filter are, so that a file
 //! made to be slow is not: answers are exact unless that bound is reached.
 
 #[cfg(test)]
@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Points in a range that is searched one by one.
 const LEAF: usize = 8;
 /// Most points that a query looks at. Ordinary surfaces and clouds need a few hundred.
-pub const MOST_VISITS: usize = 4096;
+pub const MAX_VISITS: usize = 4096;
 
 /// A k-d tree over points it borrows.
 pub struct Tree<'a> {
@@ -58,12 +58,12 @@ impl<'a> Tree<'a> {
         let limit = radius * radius;
         let query = query.map(f64::from);
         let mut search =
-            Search { tree: self, query, limit, most, accept, best: Vec::new(), left: MOST_VISITS };
+            Search { tree: self, query, limit, most, accept, best: Vec::new(), left: MAX_VISITS };
         if most > 0 {
             search.range(0, self.order.len());
         }
         #[cfg(test)]
-        self.visits.fetch_add((MOST_VISITS - search.left) as u64, Ordering::Relaxed);
+        self.visits.fetch_add((MAX_VISITS - search.left) as u64, Ordering::Relaxed);
         search.best
     }
 
@@ -254,6 +254,6 @@ pub(crate) mod tests {
         let points: Vec<[f32; 3]> = (0..20_000).map(|i| [(i % 100) as f32, (i / 100) as f32, 0.0]).collect();
         let tree = Tree::new(&points);
         assert!(tree.nearest([50.0; 3], 3, |_| false).is_empty());
-        assert_eq!(tree.visits(), MOST_VISITS as u64);
+        assert_eq!(tree.visits(), MAX_VISITS as u64);
     }
 }

@@ -24,7 +24,7 @@ use super::{
 const FORMAT: Format = Format::Sog;
 const PALETTE_ROW: usize = 64;
 /// Most entries of a palette.
-const MOST_ENTRIES: u64 = 65_536;
+const MAX_ENTRIES: u64 = 65_536;
 /// Longest `meta.json`, bytes: three codebooks of 256 numbers and a few names are far below.
 const META_BYTES: u64 = 1 << 20;
 
@@ -150,7 +150,7 @@ pub fn parse_files(
                 rows.saturating_mul(PALETTE_ROW * degree.rest_len() / 3)
             });
             // Version 1 states neither degree nor entries: the plane has as many as it has pixels.
-            let most = if version == Version::One { MOST_ENTRIES as usize * 15 } else { pixels };
+            let most = if version == Version::One { MAX_ENTRIES as usize * 15 } else { pixels };
             let bytes_of = plane_between("shN", &p.files, 0, pixels, most, &mut file, limits)?;
             let (degree, entries) = stated.map_or_else(|| bytes_of.entries(), Ok)?;
             let width = PALETTE_ROW * degree.rest_len() / 3;
@@ -246,7 +246,7 @@ impl Palette {
             .filter(|d| d.get() > 0)
             .ok_or_else(|| FORMAT.malformed("shN.bands", bands, "1 to 3"))?;
         let count = self.count.ok_or_else(|| missing("shN.count"))?;
-        if count == 0 || count > MOST_ENTRIES {
+        if count == 0 || count > MAX_ENTRIES {
             return Err(FORMAT.malformed("shN.count", count, "1 to 65536"));
         }
         Ok(Some((degree, count)))

@@ -28,7 +28,7 @@ pub(super) const MAGIC: [u8; 4] = 0x674bu32.to_le_bytes();
 /// Bytes of a splat.
 const RECORD: usize = 64;
 /// Longest JSON, bytes: a few numbers and cameras.
-const MOST_JSON: usize = 16 << 20;
+const MAX_JSON: usize = 16 << 20;
 /// Frames that the clip becomes.
 pub const FRAMES: usize = 60;
 /// Bytes that a splat takes in one frame.
@@ -52,8 +52,8 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
         return Err(FORMAT.malformed("magic", "other bytes", "0x674b"));
     }
     let length = u32_at(bytes, 4).ok_or_else(|| FORMAT.truncated("header", bytes.len() as u64, 8))? as usize;
-    if length > MOST_JSON {
-        return Err(FORMAT.malformed("JSON length", length, format_args!("up to {MOST_JSON} bytes")).at(4));
+    if length > MAX_JSON {
+        return Err(FORMAT.malformed("JSON length", length, format_args!("up to {MAX_JSON} bytes")).at(4));
     }
     let text = bytes.get(8..8 + length);
     let text = text.ok_or_else(|| FORMAT.truncated("JSON", (bytes.len() - 8) as u64, length as u64).at(8))?;

@@ -12,7 +12,7 @@ use super::{
 };
 
 /// Most arrays of one name and a number.
-const MOST_NUMBERED: usize = 128;
+const MAX_NUMBERED: usize = 128;
 
 /// An array and its lengths along the axes.
 pub(super) struct Tensor {
@@ -78,8 +78,8 @@ impl<'a> Tensors<'a> {
             Source::Safetensors(file) => file.names().into_iter().filter_map(number).max(),
         };
         let count = last.map_or(0, |last| last.saturating_add(1));
-        if count > MOST_NUMBERED {
-            let allowed = format_args!("numbers below {MOST_NUMBERED}");
+        if count > MAX_NUMBERED {
+            let allowed = format_args!("numbers below {MAX_NUMBERED}");
             return Err(self.format.error(ErrorKind::TooLarge, prefix, count - 1, allowed));
         }
         Ok(count)

@@ -24,7 +24,7 @@ use crate::{
 /// Points that training starts with, since the layout has none that we may rely on.
 const POINTS: usize = 20_000;
 /// Most points drawn until there are so many.
-const MOST_DRAWS: usize = 4 * POINTS;
+const MAX_DRAWS: usize = 4 * POINTS;
 /// Nothing nearer to a camera, in metres, is drawn, as viewers of splats do (`p_view.z <= 0.2` in the
 /// rasteriser of 3DGS), so that they show what was trained.
 const NEAR: f64 = 0.2;
@@ -137,7 +137,7 @@ fn points_inside(views: &[PosedPhotograph], free_space: &FreeSpace) -> Vec<Colou
     let bounds = bounds(views);
     let reach = reach(bounds);
     let mut rng = Pcg64Mcg::seed_from_u64(1);
-    for _ in 0..MOST_DRAWS {
+    for _ in 0..MAX_DRAWS {
         let place = bounds.map(|(low, high)| {
             let middle = 0.5 * (low + high);
             (middle + 1.3 * reach * (2.0 * rng.random::<f64>() - 1.0)) as f32

@@ -61,7 +61,7 @@ impl Coded {
     /// # Errors
     /// What the encoder refuses.
     pub(super) fn first(source: &Scene, options: &encode::EncodeOptions) -> Result<Self, DeliveryError> {
-        let encoded = encode::encode(source, options, &crate::encode::unheard)?;
+        let encoded = encode::encode(source, options, &crate::encode::no_progress)?;
         Self::new(source, encoded, no_change(source))
     }
 
@@ -76,7 +76,7 @@ impl Coded {
     ) -> Result<Self, DeliveryError> {
         let scene = parameters.applied(source)?;
         let decisions = with_proxies(decisions, parameters);
-        Self::new(source, encode::write(&scene, &decisions, &crate::encode::unheard)?, parameters.clone())
+        Self::new(source, encode::write(&scene, &decisions, &crate::encode::no_progress)?, parameters.clone())
     }
 
     /// As [`Coded::again`], with entropy tables, at most `table_choices` to a set, for what is coded now.
@@ -91,7 +91,8 @@ impl Coded {
     ) -> Result<Self, DeliveryError> {
         let scene = parameters.applied(source)?;
         let decisions = with_proxies(decisions, parameters);
-        let encoded = encode::with_levels(&scene, &decisions, &[], table_choices, &crate::encode::unheard)?;
+        let encoded =
+            encode::with_levels(&scene, &decisions, &[], table_choices, &crate::encode::no_progress)?;
         Self::new(source, encoded, parameters.clone())
     }
 
@@ -383,7 +384,8 @@ mod tests {
     #[test]
     fn slopes_by_steps_are_differences_along_quantisation_errors() {
         let (scene, _) = study(3, 1);
-        let coarse = encode::EncodeOptions { quality: encode::Quality::default().scaled(6.0), ..options() };
+        let coarse =
+            encode::EncodeOptions { quality: encode::QuantiserSteps::default().scaled(6.0), ..options() };
         let coded = Coded::first(&scene, &coarse).unwrap();
         let mut parameters = no_change(&scene);
         for (i, values) in parameters.all_mut().enumerate() {

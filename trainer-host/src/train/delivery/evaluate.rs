@@ -138,9 +138,10 @@ mod tests {
     #[test]
     fn a_picture_is_compared_over_its_own_background() {
         let (scene, mut references) = study(2, 1);
-        let decisions = encode::encode(&scene, &encode::EncodeOptions::default(), &crate::encode::unheard)
-            .unwrap()
-            .decisions;
+        let decisions =
+            encode::encode(&scene, &encode::EncodeOptions::default(), &crate::encode::no_progress)
+                .unwrap()
+                .decisions;
         let instant = scene.instant(0).unwrap();
         let splats =
             render_host::Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree).unwrap();
@@ -161,7 +162,7 @@ mod tests {
         let (scene, references) = study(3, 1);
         let options =
             encode::EncodeOptions { packet_bytes: 300, block_len: 16, pictures: 0, ..Default::default() };
-        let encoded = encode::encode(&scene, &options, &crate::encode::unheard).unwrap();
+        let encoded = encode::encode(&scene, &options, &crate::encode::no_progress).unwrap();
         let share = |probability| {
             let loss = LossModel::Iid { probability };
             let masks = Masks::draw(&encoded.stream, loss, LossUnit::Packet, 12, 3).unwrap();

@@ -18,7 +18,7 @@ use super::{
     objective::{self, Terms, Worlds},
     parameters::{COMPONENTS, Parameters},
     rate_model::RateModel,
-    record::{Record, Registration, hex},
+    record::{Preregistration, Record, hex},
     select::{Candidate, select},
     steps::{self, Steps},
     view::{Reference, View, views},
@@ -92,7 +92,7 @@ pub fn fine_tune(
         parameters,
     };
     let first_worlds = run.worlds_of(0..options.updates.min(10));
-    let registration = Registration::of(options, &validation_masks, &first_worlds);
+    let registration = Preregistration::of(options, &validation_masks, &first_worlds);
     if let Some(path) = &options.registration {
         registration.write(path)?;
     }

@@ -233,7 +233,7 @@ mod tests {
                 encode::EncodeOptions { packet_bytes: 200, block_len: 16, pictures: 0, ..Default::default() }
             }
         };
-        encode::encode(&scene, &options, &crate::encode::unheard).unwrap().stream
+        encode::encode(&scene, &options, &crate::encode::no_progress).unwrap().stream
     }
 
     #[test]

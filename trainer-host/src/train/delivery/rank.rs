@@ -66,7 +66,7 @@ pub fn sweep_ranks(
             options.encode.rank = rank;
             options.validation = Validation { candidates: 0, ..options.validation };
             let tuned = fine_tune(scene, references, &options, &|_| ControlFlow::Continue(()))?;
-            let encoded = crate::encode::write(&tuned.scene, &tuned.decisions, &crate::encode::unheard)?;
+            let encoded = crate::encode::write(&tuned.scene, &tuned.decisions, &crate::encode::no_progress)?;
             let loss = LossModel::Burst { share: 0.05, length: 6.0 };
             let states = options.validation.states;
             let masks = Masks::draw(&encoded.stream, loss, options.unit, states, seed)?;

@@ -157,12 +157,14 @@ mod tests {
     #[test]
     fn finer_steps_cost_more_and_the_gradient_is_a_difference() {
         let (scene, _) = study(2, 1);
-        let decided = |quality: encode::Quality| {
+        let decided = |quality: encode::QuantiserSteps| {
             let options = encode::EncodeOptions { pictures: 0, quality, ..Default::default() };
-            encode::encode(&scene, &options, &crate::encode::unheard).unwrap()
+            encode::encode(&scene, &options, &crate::encode::no_progress).unwrap()
         };
-        let (fine, coarse) =
-            (decided(encode::Quality::default()), decided(encode::Quality::default().scaled(4.0)));
+        let (fine, coarse) = (
+            decided(encode::QuantiserSteps::default()),
+            decided(encode::QuantiserSteps::default().scaled(4.0)),
+        );
         let mut parameters = no_change(&scene);
         parameters.all_mut().enumerate().for_each(|(i, values)| {
             *values = std::array::from_fn(|c| 0.05 * (((i * 31 + c * 17) % 19) as f32 / 9.0 - 1.0));

@@ -12,7 +12,7 @@ use super::{
 
 /// What is fixed before the first update, so that nothing is chosen by its result.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Registration {
+pub struct Preregistration {
     /// All options.
     pub options: DeliveryOptions,
     /// Hash of the options, how the scene is encoded included; 16 hexadecimal digits of FNV-1a.
@@ -27,7 +27,7 @@ pub struct Registration {
     pub selection_rule: String,
 }
 
-impl Registration {
+impl Preregistration {
     /// That of `options`, with the states of validation and of the first updates.
     pub(super) fn of(options: &DeliveryOptions, validation: &Masks, first_worlds: &Masks) -> Self {
         Self {
@@ -69,7 +69,7 @@ pub(super) fn hex(hash: u64) -> String {
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Record {
     /// What was fixed before.
-    pub registration: Registration,
+    pub registration: Preregistration,
     /// Hash of all worlds of all updates, in order.
     pub worlds: String,
     /// Objective of each update.

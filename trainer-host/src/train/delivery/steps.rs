@@ -46,7 +46,7 @@ pub(super) type PerClass = [f64; Class::MOVING];
 /// their own, and sizes of packets, make little of it.
 const PROBE: f64 = 0.4;
 /// Largest change of `ln s` at once.
-const MOST_AT_ONCE: f64 = 0.1;
+const MAX_AT_ONCE: f64 = 0.1;
 /// Largest change of `ln s` in all: a third, or three times.
 const MOST: f64 = 1.1;
 /// Share of the way to the optimum that is gone at once.
@@ -54,7 +54,7 @@ const DAMPING: f64 = 0.3;
 /// Share of what the slopes were that they still are after an update.
 const MEMORY: f64 = 0.9;
 /// A slope per byte counts as at least this share of the mean: what noise makes negative has no logarithm.
-const LEAST_RATIO: f64 = 0.02;
+const MIN_RATIO: f64 = 0.02;
 /// Levels of `ln` of slopes per byte over their mean that are searched, and their negatives.
 const LEVELS: f64 = 20.0;
 
@@ -113,7 +113,7 @@ impl Steps {
             let mut factors = steps.factors.clone();
             factors.as_flattened_mut()[place] = factor;
             let scaled = scaled(decisions, &factors);
-            match encode::with_levels(scene, &scaled, &[], table_choices, &encode::unheard) {
+            match encode::with_levels(scene, &scaled, &[], table_choices, &encode::no_progress) {
                 Ok(encoded) => Ok(Some(encoded.report.ledger.wire())),
                 Err(EncodeError::BlockTooLarge { .. }) => Ok(None),
                 Err(error) => Err(error.into()),
@@ -149,7 +149,7 @@ impl Steps {
             return;
         }
         // Logarithms of slopes per byte over their mean; what has next to none counts as little.
-        let ratio = |(slope, saving): (&f64, &f64)| (slope / saving / mean).max(LEAST_RATIO).ln();
+        let ratio = |(slope, saving): (&f64, &f64)| (slope / saving / mean).max(MIN_RATIO).ln();
         let ratios: Vec<f64> = self.slopes.as_flattened().iter().zip(savings).map(ratio).collect();
         let changes = match control {
             RateControl::Price(price) => self.changes(&ratios, (price / mean).ln()),
@@ -167,7 +167,7 @@ impl Steps {
     fn changes(&self, ratios: &[f64], level: f64) -> Vec<f64> {
         let places = self.factors.as_flattened().iter().zip(ratios).zip(self.savings.as_flattened());
         let change = |((factor, ratio), saving): ((&f64, &f64), &f64)| {
-            let change = (0.5 * DAMPING * (level - ratio)).clamp(-MOST_AT_ONCE, MOST_AT_ONCE);
+            let change = (0.5 * DAMPING * (level - ratio)).clamp(-MAX_AT_ONCE, MAX_AT_ONCE);
             if *saving > 0.0 { (factor + change).clamp(-MOST, MOST) - factor } else { 0.0 }
         };
         places.map(change).collect()
@@ -357,8 +357,8 @@ mod tests {
             let all: f64 = steps.savings.as_flattened().iter().sum();
             let mut longer = steps.clone();
             let wire = |steps: &Steps| {
-                let (decisions, unheard) = (steps.of(&coded.encoded.decisions), &encode::unheard);
-                let again = encode::with_levels(&scene, &decisions, &[], options.table_choices, unheard);
+                let (decisions, no_progress) = (steps.of(&coded.encoded.decisions), &encode::no_progress);
+                let again = encode::with_levels(&scene, &decisions, &[], options.table_choices, no_progress);
                 again.unwrap().report.ledger.wire()
             };
             assert_eq!(steps.control, Some(RateControl::Size));

@@ -114,7 +114,7 @@ pub(super) mod tests {
             synth::make(&options, &Limits::default()).unwrap()
         };
         let (scene, finer) = (make(1000), make(1600));
-        let ring = Framing::of(&finer).ring(Ring::Measuring, cameras, (40, 32)).unwrap();
+        let ring = Framing::of(&finer).ring(Ring::Validation, cameras, (40, 32)).unwrap();
         let mut references = Vec::new();
         for frame in 0..frames as u32 {
             for camera in &ring {

@@ -13,7 +13,7 @@ fn epochs(kind: SynthKind, frames: usize, seed: u64) -> Vec<Epoch> {
     synth::make(&options, &Limits::default()).unwrap().epochs().to_vec()
 }
 
-fn parted(epochs: Vec<Epoch>, options: PartOptions) -> (Parts, usize) {
+fn parted(epochs: Vec<Epoch>, options: SplitOptions) -> (Parts, usize) {
     let scene = Scene::new(epochs, 30.0).unwrap();
     let pictures = RenderedOptions { cameras: 4, test_cameras: 1, side: 64 };
     let dataset = rendered(&scene, "clip", &pictures).unwrap();
@@ -25,7 +25,7 @@ fn parted(epochs: Vec<Epoch>, options: PartOptions) -> (Parts, usize) {
 
 #[test]
 fn a_clip_is_parted_where_it_becomes_another() {
-    let options = PartOptions { steps: 240, ..PartOptions::default() };
+    let options = SplitOptions { steps: 240, ..SplitOptions::default() };
     let figure = epochs(SynthKind::Figure, 5, 1);
     let other = epochs(SynthKind::Cloth, 6, 2);
     let (parts, trials) = parted([figure, other].concat(), options);
@@ -37,9 +37,9 @@ fn a_clip_is_parted_where_it_becomes_another() {
 
 #[test]
 fn what_does_not_change_at_once_is_not_tried_and_what_does_not_gain_is_not_parted() {
-    let (parts, trials) = parted(epochs(SynthKind::Figure, 8, 1), PartOptions::default());
+    let (parts, trials) = parted(epochs(SynthKind::Figure, 8, 1), SplitOptions::default());
     assert_eq!((parts.frames, trials), (Vec::from([Range { start: 0, end: 8 }]), 0));
-    let options = PartOptions { steps: 60, gain_db: 1e3 };
+    let options = SplitOptions { steps: 60, gain_db: 1e3 };
     let figure = epochs(SynthKind::Figure, 5, 1);
     let (parts, trials) = parted([figure, epochs(SynthKind::Cloth, 6, 2)].concat(), options);
     assert_eq!((parts.frames, trials), (Vec::from([Range { start: 0, end: 11 }]), 1));

@@ -14,9 +14,9 @@ use super::super::{
 use crate::{encode::sensitivity::Signs, scene::Instant};
 
 /// Most views that are rendered.
-const MOST_VIEWS: usize = 160;
+const MAX_VIEWS: usize = 160;
 /// Opacities count as no more than this: above it alpha is clamped, and derivatives vanish.
-const MOST_OPACITY: f32 = 0.98;
+const MAX_OPACITY: f32 = 0.98;
 
 /// Per Gaussian, the squared error of a view without it, summed over the view's pixels and channels: mean
 /// over views. `size_of` says how large a view is rendered, pixels.
@@ -30,7 +30,7 @@ pub(super) fn removal_errors(
     differentiator: &mut Differentiator,
 ) -> Result<Vec<f64>, TrainError> {
     let all = views.photographs().len();
-    let count = all.min(MOST_VIEWS);
+    let count = all.min(MAX_VIEWS);
     let mut errors = vec![0.0; model.gaussians()];
     let settings = Settings::default().with_footprint(model.footprint);
     let (mut instant, mut gradients) = (Instant::default(), Gradients::default());
@@ -43,7 +43,7 @@ pub(super) fn removal_errors(
         let camera = camera.map_err(|source| TrainError::Camera { view: named(), source })?;
         model.instant_into(view.time, &mut instant);
         for gaussian in &mut instant.gaussians {
-            gaussian.opacity = gaussian.opacity.min(MOST_OPACITY);
+            gaussian.opacity = gaussian.opacity.min(MAX_OPACITY);
         }
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)
             .map_err(|source| TrainError::Splats { view: named(), source })?;
@@ -107,7 +107,7 @@ mod tests {
                 model.instant_into(view.time, &mut instant);
                 let mut draw = |opacity: Option<f32>| {
                     instant.gaussians[index].opacity =
-                        opacity.unwrap_or(instant.gaussians[index].opacity.min(MOST_OPACITY));
+                        opacity.unwrap_or(instant.gaussians[index].opacity.min(MAX_OPACITY));
                     let splats =
                         Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree).unwrap();
                     Renderer::new().render(&splats, &view.camera, &Settings::default()).unwrap().image

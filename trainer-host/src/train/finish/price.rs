@@ -146,7 +146,7 @@ mod tests {
         let options =
             synth::SynthOptions { kind: SynthKind::Figure, gaussians: 1000, frames: 1, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
-        let encoded = encode(&scene, &EncodeOptions::default(), &crate::encode::unheard).unwrap();
+        let encoded = encode(&scene, &EncodeOptions::default(), &crate::encode::no_progress).unwrap();
         let Decisions::Dgs1(decisions) = encoded.decisions else { unreachable!("profile dgs1") };
         let rounding = Rounding::of(&decisions, &decisions.epochs[0], 1000).unwrap();
         let mut quant = *rounding.quantisers(0).unwrap().0;

@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 /// Most splines side by side.
-const MOST_SPLINES: usize = 8;
+const MAX_SPLINES: usize = 8;
 /// Most functions of a spline.
-const MOST_FUNCTIONS: usize = 1024;
+const MAX_FUNCTIONS: usize = 1024;
 
 /// Functions over time 0 to 1: uniform cubic B-splines of several numbers of knots, side by side. The coarse
 /// ones learn the large motion from few views, the fine ones add to it.
@@ -47,8 +47,8 @@ impl TemporalBasis {
 
     /// Whether [`TemporalBasis::new`] could have made this: what was read from a file need not be.
     pub(super) fn is_sound(&self) -> bool {
-        (1..=MOST_SPLINES).contains(&self.splines.len())
-            && self.splines.iter().all(|count| (4..=MOST_FUNCTIONS).contains(count))
+        (1..=MAX_SPLINES).contains(&self.splines.len())
+            && self.splines.iter().all(|count| (4..=MAX_FUNCTIONS).contains(count))
     }
 
     /// Number of functions.

@@ -18,7 +18,7 @@ use crate::train::parameter::{AdamStep, Parameter};
 /// Learning rate of a layer, of that of the next finer one.
 const COARSER_RATE: f32 = 0.3;
 /// Most layers.
-const MOST_LAYERS: usize = 8;
+const MAX_LAYERS: usize = 8;
 
 /// Places and motions of control nodes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -123,19 +123,29 @@ impl ControlNodes {
     }
 
     /// What keeps neighbours moving rigidly: adds `weight` times its gradient to that of the poses.
-    pub(crate) fn keep_rigid(&self, weight: f32, poses: &NodePoses, gradients: &mut [NodeGradient]) {
+    pub(crate) fn add_rigidity_gradient(
+        &self,
+        weight: f32,
+        poses: &NodePoses,
+        gradients: &mut [NodeGradient],
+    ) {
         if let Some(layer) = self.layers.last() {
             rigidity::add_gradient(layer, weight, poses.last(), gradients);
         }
     }
 
     /// What keeps nodes where they are: adds `weight` times its gradient to that of the poses.
-    pub(crate) fn keep_still(&self, weight: f32, poses: &NodePoses, gradients: &mut [NodeGradient]) {
+    pub(crate) fn add_stillness_gradient(
+        &self,
+        weight: f32,
+        poses: &NodePoses,
+        gradients: &mut [NodeGradient],
+    ) {
         stillness::add_gradient(weight, self.unit, poses.last(), gradients);
     }
 
     /// What keeps motion even over time: adds `weight` times its gradient at `time` to that of the motion.
-    pub(crate) fn keep_even(&mut self, weight: f32, time: f32) {
+    pub(crate) fn add_smoothness_gradient(&mut self, weight: f32, time: f32) {
         self.layers.iter_mut().for_each(|layer| smoothness::add_gradient(layer, weight, time));
     }
 
@@ -144,7 +154,7 @@ impl ControlNodes {
         let mut before = None;
         self.unit.is_finite()
             && self.basis.is_sound()
-            && self.layers.len() <= MOST_LAYERS
+            && self.layers.len() <= MAX_LAYERS
             && self.layers.iter().all(|layer| layer.is_sound(before.replace(layer.len())))
     }
 

@@ -9,7 +9,7 @@ use crate::{
 };
 
 /// Most groups of four values that the states keep: what fits the tail byte.
-const MOST_GROUPS: usize = u8::MAX as usize;
+const MAX_GROUPS: usize = u8::MAX as usize;
 
 /// What one token does to a state: `x → (x / f << 11) + x mod f + start`, without dividing.
 #[derive(Clone, Copy, Debug, Default)]
@@ -179,7 +179,7 @@ struct Tail {
 fn keep(source: &Source<'_>) -> Tail {
     let n = source.values.len();
     let mut start = [TAIL_START; LANES];
-    let mut most = n.div_ceil(LANES).min(MOST_GROUPS);
+    let mut most = n.div_ceil(LANES).min(MAX_GROUPS);
     loop {
         let mut state = start;
         let mut symbols = source.symbols();

@@ -18,14 +18,14 @@ pub const HEADER_BYTES: usize = 16;
 
 /// What the head of a DGSM message says, before anything is unpacked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Sealed {
+pub struct ManifestHead {
     /// Bytes of the body once unpacked.
     pub raw_len: usize,
     /// Bytes of the whole message.
     pub wire_len: usize,
 }
 
-impl Sealed {
+impl ManifestHead {
     /// Reads the 16-byte head.
     ///
     /// # Errors
@@ -79,10 +79,10 @@ impl Sealed {
 /// Checks a whole DGSM message and unpacks its body into the front of `raw`.
 ///
 /// # Errors
-/// What [`Sealed::parse`] refuses; a CRC that does not match; leftovers;
+/// What [`ManifestHead::parse`] refuses; a CRC that does not match; leftovers;
 /// [`ErrorKind::Capacity`] if `raw` is too small.
 pub fn open<'a>(message: &[u8], crc: Crc32, raw: &'a mut [u8]) -> Result<&'a [u8]> {
-    Sealed::parse(message)?.open(message, crc, raw)
+    ManifestHead::parse(message)?.open(message, crc, raw)
 }
 
 /// Packs `raw` and seals it as a DGSM message at the front of `out`; returns its length.

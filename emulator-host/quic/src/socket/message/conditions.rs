@@ -23,9 +23,9 @@ const SCHEDULERS: [(u8, PolicyKind); 5] = [
 ];
 /// Parts of one, of which loss is counted.
 const LOSS_PARTS: f64 = 1e4;
-const MOST_LOSS: u16 = 9000;
-const MOST_BURST: u16 = 1000;
-const MOST_DELAY: Duration = Duration::from_secs(1);
+const MAX_LOSS: u16 = 9000;
+const MAX_BURST: u16 = 1000;
+const MAX_DELAY: Duration = Duration::from_secs(1);
 const RATES: std::ops::RangeInclusive<u64> = 1_000..=1_000_000_000;
 /// What the queue of a link with a rate holds.
 const QUEUE: Nanos = Nanos::from_ms(250);
@@ -135,14 +135,14 @@ impl Conditions {
             other => return Err(illegal("rate", other, "0, or 1000 to 1000000000 bit/s")),
         };
         let delay = Duration::from_micros(delay_us.into());
-        if delay > MOST_DELAY {
+        if delay > MAX_DELAY {
             return Err(illegal("delay", u64::from(delay_us).div_ceil(1000), "0 to 1000 ms"));
         }
         let [loss, burst] = parts;
-        if loss > MOST_LOSS.into() {
+        if loss > MAX_LOSS.into() {
             return Err(illegal("loss", loss, "0 to 9000 ten-thousandths"));
         }
-        if !(1..=MOST_BURST.into()).contains(&burst) {
+        if !(1..=MAX_BURST.into()).contains(&burst) {
             return Err(illegal("burst", burst, "1 to 1000 datagrams"));
         }
         if burst > 1 && (burst as f64) < LossModel::least_burst(loss as f64 / LOSS_PARTS) {

@@ -103,7 +103,7 @@ fn a_viewer_gets_the_link_and_the_scheduler_that_it_asks_for_and_nobody_else_doe
 #[test]
 fn a_server_that_lets_nobody_change_anything_says_so_and_goes_on() {
     within(async {
-        let offer = Offer::new("everything", &stream(), graph(&stream())).unwrap();
+        let offer = ServedStream::new("everything", &stream(), graph(&stream())).unwrap();
         let server = Running::letting(false, ServerLimits::default(), offer);
         let mut viewer = Viewer::begin(&server).await;
         let (granted, took) = viewer.ask(1, late_by_dash()).await;
@@ -119,10 +119,10 @@ fn a_server_that_lets_nobody_change_anything_says_so_and_goes_on() {
 
 /// Of a client that asks from the start, what was played and what the server says of the viewer.
 async fn played_late(may_change: bool) -> (PlayReport, ViewerReport) {
-    let offer = Offer::new("everything", &stream(), graph(&stream())).unwrap();
+    let offer = ServedStream::new("everything", &stream(), graph(&stream())).unwrap();
     let server = Running::letting(may_change, ServerLimits::default(), offer);
     let config = ClientConfig { conditions: Some(late_by_dash()), ..server.client() };
-    let report = play(&config, &mut Headless, std::future::pending()).await.whole().unwrap();
+    let report = play(&config, &mut NullSink, std::future::pending()).await.whole().unwrap();
     let (_, mut viewers) = server.stop().await;
     (report, viewers.remove(0))
 }
@@ -152,7 +152,7 @@ struct Changing {
     is_first: bool,
 }
 
-impl Screen for Changing {
+impl FrameSink for Changing {
     fn show(&mut self, player: &mut dgs_player::Player, frame: u32) -> Result<(), String> {
         self.shown += 1;
         let has_base = player.usable(frame).unwrap_or_default().canonical[0] > 0;
@@ -161,9 +161,9 @@ impl Screen for Changing {
         if is_early { Err("shown before its base".to_owned()) } else { Ok(()) }
     }
 
-    fn wanted_round(&mut self) -> Option<RoundWish> {
+    fn requested_round(&mut self) -> Option<RoundRequest> {
         let due = self.shown >= 2 && !std::mem::replace(&mut self.wished, self.shown >= 2);
-        due.then(|| RoundWish { start_us: 0, conditions: Some(late_by_dash()) })
+        due.then(|| RoundRequest { start_us: 0, conditions: Some(late_by_dash()) })
     }
 
     fn granted(&mut self, granted: Granted) {
@@ -179,7 +179,7 @@ impl Screen for Changing {
 fn a_round_under_other_conditions_begins_with_nothing_if_the_server_grants_them() {
     within(async {
         for may_change in [true, false] {
-            let offer = Offer::new("everything", &stream(), graph(&stream())).unwrap();
+            let offer = ServedStream::new("everything", &stream(), graph(&stream())).unwrap();
             let server = Running::letting(may_change, ServerLimits::default(), offer);
             let mut screen = Changing::default();
             let mut config = server.client();

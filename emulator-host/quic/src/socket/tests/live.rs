@@ -21,11 +21,11 @@ fn what_comes_later_arrives_in_the_round_that_is_running() {
     within(async {
         let all = stream().packets().len();
         let (none, empty) = part(0);
-        let (offer, feed) = Offer::live("live", &none, empty, 0).unwrap();
+        let (offer, feed) = ServedStream::live("live", &none, empty, 0).unwrap();
         let server = Running::offering(ServerLimits::default(), offer);
         let config = ClientConfig { start_us: u64::MAX, ..server.client() };
         let viewer = async {
-            let played = play(&config, &mut Headless, std::future::pending()).await;
+            let played = play(&config, &mut NullSink, std::future::pending()).await;
             assert!(played.error.is_none(), "{:?}", played.error);
             let player = played.player.unwrap();
             let has = (0..all).filter(|at| player.has(PacketId::new(*at as u32).unwrap())).count();
@@ -45,14 +45,14 @@ fn what_comes_later_arrives_in_the_round_that_is_running() {
         let frames = report.frames;
         let (stream, graph) = part(all);
         feed.renew(&stream, graph, frames - 1).unwrap();
-        let first = *super::super::offer::starts(&stream.manifest().unwrap()).last().unwrap();
+        let first = *super::super::served_stream::starts(&stream.manifest().unwrap()).last().unwrap();
         let late = ClientConfig { loops: true, ..server.client() };
-        let played = play(&late, &mut Headless, std::future::pending()).await.whole().unwrap();
+        let played = play(&late, &mut NullSink, std::future::pending()).await.whole().unwrap();
         assert_eq!(played.shown_count, u64::from(frames - first), "{played:?}");
         assert_eq!(played.shown[0].frame, first);
         drop(feed);
         // The input has ended: nothing changes.
-        let after = play(&late, &mut Headless, std::future::pending()).await.whole().unwrap();
+        let after = play(&late, &mut NullSink, std::future::pending()).await.whole().unwrap();
         assert_eq!(after.shown_count, played.shown_count);
         let (counts, viewers) = server.stop().await;
         assert_eq!((counts.viewers, counts.refused.len()), (3, 0), "{viewers:?}");

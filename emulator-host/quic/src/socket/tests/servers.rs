@@ -34,7 +34,7 @@ where
     let mut config =
         ClientConfig { silence: Duration::from_millis(400), reconnects: 0, ..client(address, &trust) };
     change(&mut config);
-    let played = play(&config, &mut Headless, std::future::pending()).await;
+    let played = play(&config, &mut NullSink, std::future::pending()).await;
     task.abort();
     played
 }

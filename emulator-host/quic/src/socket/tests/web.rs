@@ -68,17 +68,17 @@ async fn session(connection: &Connection) -> (SendStream, SendStream, RecvStream
 fn a_session_over_webtransport_is_the_same_session() {
     within(async {
         let server = Running::start(ServerLimits::default());
-        let played = play(&over_web(&server), &mut Headless, std::future::pending()).await.whole().unwrap();
+        let played = play(&over_web(&server), &mut NullSink, std::future::pending()).await.whole().unwrap();
         let plain = server.play().await.unwrap();
         assert_eq!((played.shown_count, played.packets), (plain.shown_count, plain.packets));
         assert!(played.shown_count > 0 && played.refused == 0, "{played:?}");
         let mut unknown = over_web(&server);
         unknown.locator.stream = StreamChoice::Name("other".to_owned());
-        let error = play(&unknown, &mut Headless, std::future::pending()).await.whole().unwrap_err();
+        let error = play(&unknown, &mut NullSink, std::future::pending()).await.whole().unwrap_err();
         assert!(error.to_string().contains("no stream called other; there are everything"), "{error}");
         let mut wrong = over_web(&server);
         wrong.trust = Trust::Pin(Identity::self_signed(&["localhost".to_owned()]).unwrap().pin());
-        let error = play(&wrong, &mut Headless, std::future::pending()).await.whole().unwrap_err();
+        let error = play(&wrong, &mut NullSink, std::future::pending()).await.whole().unwrap_err();
         assert!(error.to_string().contains("the pin is"), "{error}");
         let (report, viewers) = server.stop().await;
         assert_eq!((report.viewers, report.refused.len()), (2, 1), "{report:?}");

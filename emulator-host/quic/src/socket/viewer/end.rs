@@ -5,7 +5,7 @@ use std::{net::SocketAddr, time::Duration};
 use serde::Serialize;
 
 use crate::socket::{
-    carrier::{CarrierEnding, ControlWriter},
+    carrier::{ControlWriter, SessionCloser},
     channel::Closed,
     message::{Message as _, Refusal, RefusalCode, ServerMessage},
 };
@@ -86,7 +86,7 @@ impl std::fmt::Display for End {
 }
 
 /// Says why, and closes.
-pub(in crate::socket) async fn end_session(ending: CarrierEnding, send: ControlWriter, end: &End) {
+pub(in crate::socket) async fn end_session(ending: SessionCloser, send: ControlWriter, end: &End) {
     let code = match end {
         End::Bye | End::Gone(_) => 0,
         End::Refused(refusal) => {

@@ -15,9 +15,9 @@ const PARTS: [Weights; 4] = [
     Weights { absolute: 0.8, squared: 0.3, structure: 0.2 },
 ];
 
-struct Numbers(u32);
+struct TestRng(u32);
 
-impl Numbers {
+impl TestRng {
     fn below(&mut self, past: u32) -> u32 {
         self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (self.0 >> 8) % past
@@ -25,14 +25,14 @@ impl Numbers {
 }
 
 fn noise(width: u32, height: u32, seed: u32) -> Image {
-    let mut numbers = Numbers(seed);
+    let mut numbers = TestRng(seed);
     let mut next = || numbers.below(1 << 20) as f32 / (1u32 << 20) as f32;
     Image::new(width, height, (0..3 * width * height).map(|_| next()).collect()).unwrap()
 }
 
 /// A photograph that shows something in the box of `shown` (columns and rows, half-open).
 fn photograph(width: u32, height: u32, shown: [u32; 4], seed: u32) -> Photograph {
-    let mut numbers = Numbers(seed);
+    let mut numbers = TestRng(seed);
     let [left, right, top, bottom] = shown;
     let pixels = (0..width * height).flat_map(|at| {
         let (x, y) = (at % width, at / width);
@@ -194,7 +194,7 @@ fn a_crop_is_the_loss_of_a_smaller_photograph() {
 fn pixel_weights_blend_the_picture_into_the_photograph() {
     let photograph = photograph(40, 30, [3, 37, 2, 29], 5);
     let image = noise(40, 30, 6);
-    let mut numbers = Numbers(9);
+    let mut numbers = TestRng(9);
     let weights: Vec<u8> =
         (0..1200).map(|i| if i % 40 < 13 { 0 } else { numbers.below(256) as u8 }).collect();
     for parts in PARTS {

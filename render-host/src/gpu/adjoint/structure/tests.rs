@@ -4,7 +4,7 @@ use super::{
     super::super::{
         Executor,
         layout::Frame,
-        test_scene::{Numbers, executor},
+        test_scene::{TestRng, executor},
     },
     *,
 };
@@ -14,7 +14,7 @@ use crate::adjoint::loss::{Distortion, Loss};
 const TOLERANCE: f64 = 4e-7;
 
 fn noise(width: u32, height: u32, seed: u64) -> Image {
-    let mut r = Numbers(seed);
+    let mut r = TestRng(seed);
     Image::new(width, height, (0..3 * width * height).map(|_| r.unit()).collect()).unwrap()
 }
 
@@ -137,6 +137,6 @@ fn as_many_worlds_go_together_as_fit() {
     assert_eq!(together(3, bytes, 400 * 400, 0), 3);
     assert_eq!(together(32, bytes, 400 * 400, bytes / 2), 2);
     assert_eq!(together(32, bytes, 10_000 * 10_000, 0), 1, "four worlds at least");
-    assert_eq!(together(1 << 20, bytes, 1, 0), MOST_QUADS);
+    assert_eq!(together(1 << 20, bytes, 1, 0), MAX_QUADS);
     assert_eq!(together(0, bytes, 0, 0), 1);
 }

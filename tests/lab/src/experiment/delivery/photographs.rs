@@ -43,7 +43,7 @@ impl Study {
         let training = references(&scene, &dataset.train.sample(TRAINING))?;
         let test = references(&scene, &dataset.test.sample(TEST))?;
         let coding = EncodeOptions::default();
-        let encoded = encode::encode(&scene, &coding, &trainer_host::encode::unheard)?;
+        let encoded = encode::encode(&scene, &coding, &trainer_host::encode::no_progress)?;
         let size = Size { gaussians: scene.max_count(), frames: scene.frames(), side: SIDE, ..size };
         Ok(Self { scene, training, test, encoded, coding, size })
     }

@@ -10,7 +10,7 @@ use codec_core::internals::rans::{
 pub const PACKET_ROOM: usize = 4096 + 192;
 
 /// A law of i16 values: the probability of every value from `-half` to `half`.
-pub struct Law {
+pub struct Distribution {
     pub name: &'static str,
     /// Raw low bits that its table gives away.
     raw_bits: u8,
@@ -18,7 +18,7 @@ pub struct Law {
     half: i32,
 }
 
-impl Law {
+impl Distribution {
     /// The three laws: quantised Laplace of 1.5 and 4 bit, quantised Gauss of 8 bit.
     pub fn all() -> [Self; 3] {
         let laplace = |width: f64| {
@@ -114,7 +114,7 @@ fn erf(x: f64) -> f64 {
 
 /// Many different packets of one law, and its table.
 pub struct Packets {
-    pub law: Law,
+    pub law: Distribution,
     pub table: Table,
     /// Values per packet.
     pub len: usize,
@@ -131,7 +131,7 @@ pub struct Packets {
 
 impl Packets {
     /// `count` packets of at most `limit` bytes.
-    pub fn draw(law: Law, count: usize, limit: usize, seed: u64) -> Result<Self> {
+    pub fn draw(law: Distribution, count: usize, limit: usize, seed: u64) -> Result<Self> {
         let table = law.table()?;
         let symbols = [Symbols::new(&table)];
         let mut cumulative = Vec::with_capacity(law.probability.len());

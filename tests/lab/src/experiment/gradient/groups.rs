@@ -50,7 +50,7 @@ fn cases(setup: &Setup) -> Result<Vec<Case>> {
     for kind in ["figure", "cloth", "balls"] {
         let scene = synth(kind, n, 2)?;
         let instant = scene.instant(0).unwrap_or_default();
-        let camera = Framing::of(&scene).ring(Ring::Measuring, 1, (side, side))?.remove(0);
+        let camera = Framing::of(&scene).ring(Ring::Validation, 1, (side, side))?.remove(0);
         let mut groups = vec![0; instant.gaussians.len()];
         let epoch = scene.epochs().first();
         let clusters =

@@ -8,7 +8,7 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
-use crate::experiment::cloud::{Numbers, camera};
+use crate::experiment::cloud::{TestRng, camera};
 
 /// A scene at one frame, and the camera that looks at it.
 pub(super) struct View {
@@ -34,7 +34,7 @@ impl View {
     /// `n` Gaussians in [-1, 1]³ with harmonics of degree 3, seen from 3.2 away with a focal length of 0.9 of
     /// the width: the random scene of the renderer's goals.
     pub fn random(n: usize, side: u32) -> Result<Self> {
-        let mut r = Numbers(7);
+        let mut r = TestRng(7);
         let mut between = |low: f32, high: f32| r.between(low, high);
         let degree = ShDegree::MAX;
         let (low, high) = (0.004f32.ln(), 0.02f32.ln());

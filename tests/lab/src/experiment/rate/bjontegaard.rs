@@ -37,12 +37,12 @@ pub enum Refused {
         psnr: f64,
     },
     /// The curves share too little PSNR.
-    #[error("the curves overlap over {0:.2} dB; at least {LEAST_OVERLAP_DB} are needed")]
+    #[error("the curves overlap over {0:.2} dB; at least {MIN_OVERLAP_DB} are needed")]
     NoOverlap(f64),
 }
 
 /// Least shared interval of PSNR, dB.
-pub const LEAST_OVERLAP_DB: f64 = 1.0;
+pub const MIN_OVERLAP_DB: f64 = 1.0;
 
 /// A rate–distortion curve: at least two points, rising strictly in rate and PSNR.
 #[derive(Clone, Debug, PartialEq)]
@@ -176,7 +176,7 @@ fn slopes(x: &[f64], y: &[f64]) -> Vec<f64> {
 
 fn overlap(a: [f64; 2], b: [f64; 2]) -> Result<[f64; 2], Refused> {
     let (low, high) = (a[0].max(b[0]), a[1].min(b[1]));
-    if high - low < LEAST_OVERLAP_DB {
+    if high - low < MIN_OVERLAP_DB {
         return Err(Refused::NoOverlap(high - low));
     }
     Ok([low, high])
@@ -185,7 +185,7 @@ fn overlap(a: [f64; 2], b: [f64; 2]) -> Result<[f64; 2], Refused> {
 /// `test` against `anchor`, by monotone piecewise cubics.
 ///
 /// # Errors
-/// If the curves share less than [`LEAST_OVERLAP_DB`].
+/// If the curves share less than [`MIN_OVERLAP_DB`].
 pub fn difference(anchor: &RateCurve, test: &RateCurve) -> Result<Difference, Refused> {
     let overlap @ [low, high] = overlap(anchor.range(), test.range())?;
     let log_ratio = (test.integral(low, high) - anchor.integral(low, high)) / (high - low);

@@ -8,7 +8,7 @@
 //! starting anew, so this is what such a coder reaches at best, without tolerance to loss.
 
 use anyhow::{Result, ensure};
-use trainer_host::{Scene, encode::Quality};
+use trainer_host::{Scene, encode::QuantiserSteps};
 
 use super::{
     coded::{Coded, Timer},
@@ -27,7 +27,7 @@ const SEEN: usize = 10;
 /// Codes `scene` with the default steps times `coarseness`.
 pub fn code(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Coded> {
     let timer = Timer::start();
-    let grids = lattice::grids(scene, &Quality::default().scaled(coarseness));
+    let grids = lattice::grids(scene, &QuantiserSteps::default().scaled(coarseness));
     let mut residuals = grids.clone();
     let mut how = Vec::new();
     let mut models = Models::new();

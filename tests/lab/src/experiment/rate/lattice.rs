@@ -13,7 +13,7 @@ use codec_core::{
         math::{mrp_from_quat, normalised, quat_from_mrp},
     },
 };
-use trainer_host::{Epoch, Instant, Scene, encode::Quality};
+use trainer_host::{Epoch, Instant, Scene, encode::QuantiserSteps};
 
 /// Attributes, the unit of a model; each of the harmonic bands above 0 is one.
 pub const ATTRIBUTES: usize = 8;
@@ -51,7 +51,7 @@ const LINE: u8 = 2;
 
 impl Grids {
     /// `epoch` on grids of `quality`.
-    pub fn of(epoch: &Epoch, quality: &Quality) -> Self {
+    pub fn of(epoch: &Epoch, quality: &QuantiserSteps) -> Self {
         let (n, frames, a) = (epoch.count(), epoch.frames(), epoch.attributes());
         let mut sizes: Vec<f32> =
             a.log_scales.frame(0, n).iter().map(|s| s.iter().sum::<f32>() / 3.0).collect();
@@ -194,7 +194,7 @@ fn line(last: i32, before: i32) -> i32 {
 }
 
 /// All epochs of `scene` on grids of `quality`.
-pub fn grids(scene: &Scene, quality: &Quality) -> Vec<Grids> {
+pub fn grids(scene: &Scene, quality: &QuantiserSteps) -> Vec<Grids> {
     scene.epochs().iter().map(|e| Grids::of(e, quality)).collect()
 }
 
@@ -250,7 +250,7 @@ mod tests {
     #[test]
     fn residuals_are_undone_and_smaller() {
         let scene = synth("figure", 1000, 6).unwrap();
-        let grids = Grids::of(&scene.epochs()[0], &Quality::default());
+        let grids = Grids::of(&scene.epochs()[0], &QuantiserSteps::default());
         let size = |p: &Plane| p.values.iter().map(|v| f64::from(v.unsigned_abs())).sum::<f64>();
         for plane in &grids.planes {
             let mut coded = plane.clone();
@@ -265,7 +265,7 @@ mod tests {
     fn grids_hold_every_value_to_half_a_step() {
         let scene = synth("balls", 1000, 5).unwrap();
         let epoch = &scene.epochs()[0];
-        let grids = Grids::of(epoch, &Quality::default());
+        let grids = Grids::of(epoch, &QuantiserSteps::default());
         let order = morton_order(&(0..1000).collect::<Vec<_>>(), epoch.attributes().positions.frame(0, 1000));
         for t in [0, 4] {
             let (got, source) = (grids.instant(t), epoch.instant(t));

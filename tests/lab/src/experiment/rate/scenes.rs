@@ -62,7 +62,7 @@ pub fn for_each(
 
 /// Mean and worst quality over all pictures.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Marks {
+pub struct QualityScores {
     /// Mean PSNR, each picture's capped, dB.
     pub psnr: f64,
     /// Lowest PSNR, dB.
@@ -103,7 +103,7 @@ impl Evaluator {
     ///
     /// # Errors
     /// What the renderer refuses.
-    pub fn marks(&self, shown: &[Instant]) -> Result<Marks> {
+    pub fn marks(&self, shown: &[Instant]) -> Result<QualityScores> {
         anyhow::ensure!(shown.len() == self.frames.len(), "{} frames were decoded", shown.len());
         let settings = Settings { parallel: false, ..Settings::default() };
         let pairs: Vec<(usize, usize)> =
@@ -122,6 +122,6 @@ impl Evaluator {
         let ssim: Vec<f64> = scores.iter().map(|s| s.0.ssim).collect();
         let flip: Vec<f64> = scores.iter().filter_map(|s| s.1).collect();
         let psnr_min = psnr.iter().copied().fold(f64::MAX, f64::min);
-        Ok(Marks { psnr: mean(&psnr), psnr_min, ssim: mean(&ssim), flip: mean(&flip) })
+        Ok(QualityScores { psnr: mean(&psnr), psnr_min, ssim: mean(&ssim), flip: mean(&flip) })
     }
 }

@@ -6,7 +6,7 @@
 use anyhow::{Context, Result, ensure};
 use trainer_host::{
     Epoch, Instant, Scene,
-    encode::Quality,
+    encode::QuantiserSteps,
     export::spz::{SpzOptions, Version, encode, unpacked},
     import::{self, spz::parse},
 };
@@ -57,7 +57,7 @@ fn fraction_bits(epoch: &Epoch, coarseness: f32) -> u8 {
         epoch.attributes().log_scales.frame(0, n).iter().map(|s| s.iter().sum::<f32>() / 3.0).collect();
     sizes.sort_unstable_by(f32::total_cmp);
     let size = sizes.get(n / 2).map_or(1.0, |s| s.exp());
-    (-(Quality::default().position * coarseness * size).log2()).ceil().clamp(0.0, 23.0) as u8
+    (-(QuantiserSteps::default().position * coarseness * size).log2()).ceil().clamp(0.0, 23.0) as u8
 }
 
 fn read(file: &[u8]) -> Result<Instant> {

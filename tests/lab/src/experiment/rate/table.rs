@@ -8,7 +8,7 @@ use trainer_host::evaluator::PSNR_CAP_DB;
 use super::{
     bjontegaard::{Difference, RateCurve, RatePoint, Refused, difference, difference_cubic, efficient},
     codec::CodecKind,
-    scenes::Marks,
+    scenes::QualityScores,
 };
 use crate::{
     draw::curves::{Curve, Curves},
@@ -36,7 +36,7 @@ pub struct Measurement {
     /// Bytes per frame.
     pub bytes_per_frame: f64,
     /// Quality.
-    pub marks: Marks,
+    pub marks: QualityScores,
     /// Encoding, seconds; with others at the same time unless `timed`.
     pub encode_s: f64,
     /// Decoding, ms per frame; likewise.
@@ -51,7 +51,7 @@ pub fn csv(rows: &[Measurement]) -> String {
         "scene,codec,setting,bits_per_gaussian,bytes_per_frame,psnr_mean_db,psnr_min_db,ssim,flip,encode_s,decode_ms_per_frame,alone\n",
     );
     for r in rows {
-        let Marks { psnr, psnr_min, ssim, flip } = r.marks;
+        let QualityScores { psnr, psnr_min, ssim, flip } = r.marks;
         let _ = writeln!(
             out,
             "{},{},{},{:.3},{:.1},{psnr:.3},{psnr_min:.3},{ssim:.6},{flip:.6},{:.3},{:.4},{}",
@@ -269,7 +269,7 @@ mod tests {
     use super::*;
 
     fn row(codec: &'static str, kind: CodecKind, bits: f64, psnr: f64) -> Measurement {
-        let marks = Marks { psnr, psnr_min: psnr, ssim: 1.0, flip: 0.0 };
+        let marks = QualityScores { psnr, psnr_min: psnr, ssim: 1.0, flip: 0.0 };
         Measurement {
             scene: "s".into(),
             counts: true,

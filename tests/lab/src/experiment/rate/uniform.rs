@@ -2,7 +2,7 @@
 //! residuals of later frames each. Tables travel with the stream and are counted.
 
 use anyhow::{Result, ensure};
-use trainer_host::{Scene, encode::Quality};
+use trainer_host::{Scene, encode::QuantiserSteps};
 
 use super::{
     coded::{Coded, Timer},
@@ -21,7 +21,7 @@ const TOKENS: usize = 1024;
 /// Codes `scene` with the default steps times `coarseness`.
 pub fn code(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Coded> {
     let timer = Timer::start();
-    let grids = lattice::grids(scene, &Quality::default().scaled(coarseness));
+    let grids = lattice::grids(scene, &QuantiserSteps::default().scaled(coarseness));
     let mut residuals = grids.clone();
     let mut how = Vec::new();
     let mut counts = vec![None; 2 * ATTRIBUTES];

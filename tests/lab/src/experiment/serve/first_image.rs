@@ -5,7 +5,7 @@ use dgs::{
     args::ProfileName,
     pipeline::{self, Quiet},
 };
-use dgs_quic::socket::{ClientConfig, Headless, Impairment, Offer, play};
+use dgs_quic::socket::{ClientConfig, Impairment, NullSink, ServedStream, play};
 use emulator_host::{
     Nanos, Rate,
     link::{Capacity, PathConfig, QueueLimit},
@@ -32,7 +32,7 @@ pub fn run(bench: &mut Bench, viewers: usize, quiet: Quiet) -> Result<()> {
     let options = pipeline::encode_options(&codec, trainer_host::encode::Protection::STANDARD);
     let stream = pipeline::encode(&scene, &options, quiet)?.stream;
     let map = trainer_host::stream::PacketMap::of(&stream)?;
-    let offer = Offer::new("cloth", &stream, pipeline::graph(&stream, &map, None)?)?;
+    let offer = ServedStream::new("cloth", &stream, pipeline::graph(&stream, &map, None)?)?;
     let path = PathConfig {
         capacity: Capacity::Constant(Rate::from_mbps(2)),
         queue: QueueLimit { bytes: 62_500, ..QueueLimit::default() },
@@ -46,7 +46,7 @@ pub fn run(bench: &mut Bench, viewers: usize, quiet: Quiet) -> Result<()> {
     for _ in 0..viewers {
         let duration = Some(std::time::Duration::from_secs(3));
         let config = ClientConfig { duration, ..serving.client.clone() };
-        let report = runtime.block_on(play(&config, &mut Headless, std::future::pending())).whole()?;
+        let report = runtime.block_on(play(&config, &mut NullSink, std::future::pending())).whole()?;
         waits.push(report.startup_ms.context("nothing was shown within 3 s")?);
         reached += usize::from(report.startup_reached);
     }

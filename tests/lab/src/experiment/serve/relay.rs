@@ -9,7 +9,9 @@ use dgs::{
 };
 use dgs_quic::{
     moq::{PublishConfig, play, publish},
-    socket::{ClientConfig, Headless, Locator, Offer, PlayReport, Scheme, Trust, message::StreamChoice},
+    socket::{
+        ClientConfig, Locator, NullSink, PlayReport, Scheme, ServedStream, Trust, message::StreamChoice,
+    },
 };
 use emulator_host::{
     Bytes, Nanos, PacketGraph, Rate,
@@ -55,7 +57,7 @@ pub fn run(bench: &mut Bench, quiet: Quiet) -> Result<()> {
     Ok(())
 }
 
-fn offer(quiet: Quiet) -> Result<(Offer, PacketGraph)> {
+fn offer(quiet: Quiet) -> Result<(ServedStream, PacketGraph)> {
     let args = setup::scene_args(GAUSSIANS);
     let scene = pipeline::import(&format!("synth:cloth:{GAUSSIANS}:90"), &args)?.scene;
     let codec =
@@ -64,11 +66,11 @@ fn offer(quiet: Quiet) -> Result<(Offer, PacketGraph)> {
     let stream = pipeline::encode(&scene, &options, quiet)?.stream;
     let map = trainer_host::stream::PacketMap::of(&stream)?;
     let graph = pipeline::graph(&stream, &map, None)?;
-    Ok((Offer::new(NAME, &stream, graph.clone())?, graph))
+    Ok((ServedStream::new(NAME, &stream, graph.clone())?, graph))
 }
 
 /// The subscriber at the relay, and the one behind a link of half of `rate`; `None` without a relay.
-async fn measure(offer: &Offer, rate: Rate) -> Result<Option<(PlayReport, PlayReport)>> {
+async fn measure(offer: &ServedStream, rate: Rate) -> Result<Option<(PlayReport, PlayReport)>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let Some(relay) = Program::start(&root).await? else { return Ok(None) };
     let path = PathConfig {
@@ -91,7 +93,7 @@ async fn measure(offer: &Offer, rate: Rate) -> Result<Option<(PlayReport, PlayRe
         ClientConfig { loops: true, duration, ..ClientConfig::new(address(port), trust.clone()) }
     };
     let (wide, narrow) = (subscriber(relay.port), subscriber(link.port));
-    let (mut one, mut other) = (Headless, Headless);
+    let (mut one, mut other) = (NullSink, NullSink);
     let both = async {
         tokio::join!(
             play(&wide, &mut one, std::future::pending()),

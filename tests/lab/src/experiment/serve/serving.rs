@@ -4,7 +4,7 @@ use std::net::Ipv4Addr;
 
 use anyhow::{Context, Result, bail};
 use dgs_quic::socket::{
-    ClientConfig, Identity, Impairment, Locator, Offer, Scheme, Server, ServerConfig, ServerLimits,
+    ClientConfig, Identity, Impairment, Locator, Scheme, ServedStream, Server, ServerConfig, ServerLimits,
     ServerReport, Trust, ViewerReport, message::StreamChoice,
 };
 use emulator_host::PolicyKind;
@@ -22,7 +22,7 @@ impl Serving {
     /// Starts it on `runtime`.
     pub fn start(
         runtime: &Runtime,
-        offer: Offer,
+        offer: ServedStream,
         max_viewers: usize,
         max_rate_bps: Option<u64>,
         impairment: Option<Impairment>,

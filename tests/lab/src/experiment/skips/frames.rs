@@ -6,7 +6,7 @@ use dgs::{
     args::ProfileName,
     pipeline::{self, Quiet},
 };
-use render_host::{Camera, Changes, Rendered, Renderer, Reuse, Reused, Sequence, Splats};
+use render_host::{Camera, Changes, Rendered, Renderer, ReuseCounts, ReuseOptions, SequenceRenderer, Splats};
 use trainer_host::{
     Instant, Scene,
     encode::Protection,
@@ -92,7 +92,7 @@ fn measure(bench: &mut Bench, key: &str, instants: &[Instant], camera: &Camera, 
     };
     let settings = serial();
     let mut renderer = Renderer::new();
-    let mut sequence = Sequence::default();
+    let mut sequence = SequenceRenderer::default();
     let (mut error, mut reused) = (0.0f64, Vec::new());
     for instant in instants {
         let fresh = renderer.render(&splats(instant)?, camera, &settings)?;
@@ -101,7 +101,7 @@ fn measure(bench: &mut Bench, key: &str, instants: &[Instant], camera: &Camera, 
         reused.push((sequence.reused(), fresh.counters.tiles, instant.gaussians.len() as u64));
     }
     ensure!(error == 0.0, "{key}: a kept frame differs from a fresh one by {error}");
-    let sum = |part: fn(&Reused) -> u64, whole: fn(&(Reused, u64, u64)) -> u64| {
+    let sum = |part: fn(&ReuseCounts) -> u64, whole: fn(&(ReuseCounts, u64, u64)) -> u64| {
         let frames = &reused[1..];
         share(frames.iter().map(|k| part(&k.0)).sum(), frames.iter().map(whole).sum())
     };
@@ -129,14 +129,17 @@ fn measure(bench: &mut Bench, key: &str, instants: &[Instant], camera: &Camera, 
             || rest.iter().try_for_each(|i| Ok(renderer.render_into(&splats(i)?, camera, &settings, out)?));
         Ok(time(pass)? / per_frame)
     };
-    let all = Reuse::default();
+    let all = ReuseOptions::default();
     let choices = [
-        ("projection", Reuse { projection: false, ..all }),
-        ("lists", Reuse { order: false, ..all }),
-        ("tiles", Reuse { tiles: false, ..all }),
+        ("projection", ReuseOptions { projection: false, ..all }),
+        ("lists", ReuseOptions { order: false, ..all }),
+        ("tiles", ReuseOptions { tiles: false, ..all }),
     ];
-    let mut sequences: Vec<Sequence> =
-        choices.iter().map(|(_, reuse)| Sequence::new(*reuse)).chain([Sequence::default()]).collect();
+    let mut sequences: Vec<SequenceRenderer> = choices
+        .iter()
+        .map(|(_, reuse)| SequenceRenderer::new(*reuse))
+        .chain([SequenceRenderer::default()])
+        .collect();
     let mut times = vec![Vec::new(); sequences.len()];
     let mut plain = Vec::new();
     for _ in 0..runs {

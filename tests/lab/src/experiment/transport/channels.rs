@@ -31,7 +31,7 @@ pub(super) const LOAD: f64 = 1.6;
 /// Shortest and longest wait before playout, seconds: the longest is what players wait by default.
 const WAIT_S: [f64; 2] = [1.0, 5.0];
 /// A window whose bound is lower says nothing of schedulers: its link is dead.
-pub(super) const LEAST_BOUND: f64 = 0.05;
+pub(super) const MIN_BOUND: f64 = 0.05;
 
 /// A trace and the family that it stands for.
 pub(super) struct Channel {

@@ -4,13 +4,13 @@ use anyhow::Result;
 use emulator_host::{
     GraphReceiver, PacketGraph, PolicyKind, Rate, Report, SessionConfig,
     bound::upper_bound,
-    graph::{Profile, Synthetic},
+    graph::{ClosureRule, Synthetic},
     policy::{DeadlineUtility, DeadlineUtilityConfig, Scheduler},
 };
 use rayon::prelude::*;
 
 use super::{
-    channels::{Channel, LEAST_BOUND, LOAD, start},
+    channels::{Channel, LOAD, MIN_BOUND, start},
     paired::{Window, clustered, families},
 };
 use crate::{
@@ -65,10 +65,10 @@ fn workloads(setup: &Setup) -> Vec<Workload> {
         ("groups-2m", Synthetic { rate: Rate::from_mbps(2), ..spec }, 0.01),
         ("canonical-1m", Synthetic { rate: one, canonical_percent: 60, ..spec }, 0.01),
         ("groups-5m", Synthetic { rate: Rate::from_mbps(5), ..spec }, 0.0),
-        ("slices-1m", Synthetic { rate: one, profile: Profile::Sliced, ..spec }, 0.01),
+        ("slices-1m", Synthetic { rate: one, profile: ClosureRule::Sliced, ..spec }, 0.01),
         (
             "slices-02m",
-            Synthetic { rate: Rate::from_kbps(200), clusters: 8, profile: Profile::Sliced, ..spec },
+            Synthetic { rate: Rate::from_kbps(200), clusters: 8, profile: ClosureRule::Sliced, ..spec },
             0.02,
         ),
     ];
@@ -103,7 +103,7 @@ fn schedulers() -> Vec<(String, Option<PolicyKind>, DeadlineUtilityConfig)> {
     let mut all: Vec<_> =
         PolicyKind::ALL.into_iter().map(|kind| (kind.name().to_owned(), Some(kind), full)).collect();
     let without = [
-        ("own_queue", DeadlineUtilityConfig { own_queue: None, ..full }),
+        ("max_queue_delay", DeadlineUtilityConfig { max_queue_delay: None, ..full }),
         ("lost_compete", DeadlineUtilityConfig { lost_compete: false, ..full }),
         ("credit", DeadlineUtilityConfig { credit: false, ..full }),
         ("arrival_from_queue", DeadlineUtilityConfig { arrival_from_queue: false, ..full }),
@@ -147,7 +147,7 @@ pub(super) fn run(bench: &mut Bench, setup: &Setup, channels: &[Channel]) -> Res
                     return Ok(None);
                 };
                 let bound = upper_bound(&graph, &session.forward, start(&graph), steps).utility;
-                if bound < LEAST_BOUND {
+                if bound < MIN_BOUND {
                     return Ok(None);
                 }
                 let mut runs = Vec::new();

@@ -17,7 +17,7 @@ use trainer_host::{
 };
 
 use super::{
-    channels::{Channel, LEAST_BOUND, start},
+    channels::{Channel, MIN_BOUND, start},
     optimum::LIVE,
     paired::{Window, clustered, families, rank_correlation},
     schedulers,
@@ -158,7 +158,7 @@ fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, s
                 return Ok(None);
             };
             let bound = upper_bound(&study.graph, &session.forward, start(&study.graph), 1500).utility;
-            if bound < LEAST_BOUND {
+            if bound < MIN_BOUND {
                 return Ok(None);
             }
             let mut plan = POLICIES[OURS].build(&study.graph);

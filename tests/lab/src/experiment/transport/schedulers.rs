@@ -145,7 +145,7 @@ pub(super) fn utilities(
     map: &PacketMap,
     setup: &Setup,
 ) -> Result<utility::Table> {
-    let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (96, 96))?;
+    let cameras = Framing::of(scene).ring(Ring::Validation, 3, (96, 96))?;
     let contexts = if setup.quick { 4 } else { utility::UtilityOptions::paper().contexts };
     let options = utility::UtilityOptions { contexts, ..utility::UtilityOptions::paper() };
     let gain_cameras = utility::gain_cameras(scene)?;

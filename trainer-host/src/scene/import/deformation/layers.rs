@@ -6,7 +6,7 @@ use crate::scene::import::{
 };
 
 /// Most weights of a layer: every one is work for every Gaussian and frame.
-const MOST_WEIGHTS: usize = 1 << 20;
+const MAX_WEIGHTS: usize = 1 << 20;
 
 /// A linear layer.
 pub struct Linear {
@@ -30,9 +30,9 @@ impl Linear {
         if inputs == 0 || outputs == 0 {
             return Err(format.empty(weight_name));
         }
-        if weight.values.len() > MOST_WEIGHTS {
+        if weight.values.len() > MAX_WEIGHTS {
             let found = weight.values.len();
-            return Err(format.error(ErrorKind::TooLarge, weight_name, found, MOST_WEIGHTS));
+            return Err(format.error(ErrorKind::TooLarge, weight_name, found, MAX_WEIGHTS));
         }
         let bias_name = format!("{name}.bias");
         let bias = tensors.get(&bias_name)?.expect(format, &bias_name, &[outputs])?.values;

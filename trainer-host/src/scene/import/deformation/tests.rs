@@ -19,7 +19,7 @@ const ALL_OPTIONS: &[u8] = file!("planes-all-cfg_args");
 const FRAMES: usize = 5;
 
 fn parsed(bytes: &[u8], options: Option<&[u8]>) -> Result<Scene, ImportError> {
-    parse(bytes, Beside { gaussians: None, options }, FRAMES, 30.0, &Limits::default())
+    parse(bytes, SidecarFiles { gaussians: None, options }, FRAMES, 30.0, &Limits::default())
 }
 
 /// The largest difference of any value of `scene` from what is expected.
@@ -143,11 +143,11 @@ fn what_is_not_read_is_refused_by_name() {
         assert!(error.to_string().contains(says), "{error}");
     }
     let limits = Limits { max_bytes: 30_000, ..Limits::default() };
-    let error = parse(ALL, Beside::default(), 1000, 30.0, &limits).unwrap_err();
+    let error = parse(ALL, SidecarFiles::default(), 1000, 30.0, &limits).unwrap_err();
     assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
     let error = parse(
         ALL,
-        Beside { gaussians: Some(&sample("ascii", 0, 3)), options: Some(ALL_OPTIONS) },
+        SidecarFiles { gaussians: Some(&sample("ascii", 0, 3)), options: Some(ALL_OPTIONS) },
         2,
         30.0,
         &Limits::default(),

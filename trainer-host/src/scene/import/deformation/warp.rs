@@ -12,7 +12,7 @@ pub const MARKS: [&str; 2] = ["gaussian_warp.weight", "branch_w.weight"];
 /// Frequencies of the encoding of position where the weights do not tell.
 const FREQUENCIES: usize = 10;
 /// Most frequencies: beyond, single precision holds no sines.
-const MOST_FREQUENCIES: usize = 24;
+const MAX_FREQUENCIES: usize = 24;
 /// What the trainer adds to an axis that it has brought to unit length.
 const OFFSET: f32 = 1e-5;
 
@@ -165,7 +165,7 @@ fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
 /// How many frequencies `values` encode, on so many axes.
 fn frequencies(values: usize, axes: usize) -> Option<usize> {
     let doubled = (values / axes).checked_sub(1)?;
-    let fits = values.is_multiple_of(axes) && doubled.is_multiple_of(2) && doubled / 2 <= MOST_FREQUENCIES;
+    let fits = values.is_multiple_of(axes) && doubled.is_multiple_of(2) && doubled / 2 <= MAX_FREQUENCIES;
     fits.then_some(doubled / 2)
 }
 

@@ -3,7 +3,7 @@
 //! Four times as many candidates as wanted are drawn, evenly by area, and the most crowded are removed one
 //! by one (source: Yuksel 2015, weighted sample elimination): what is left is close to blue noise, so that
 //! discs of one size cover the surface without holes. Candidates crowd each other only where their surfaces
-//! face the same way, so both sides of a thin sheet are covered. Only the nearest [`MOST_CROWDING`] count,
+//! face the same way, so both sides of a thin sheet are covered. Only the nearest [`MAX_CROWDING`] count,
 //! which bounds the work on surfaces that lie on top of each other.
 
 use std::collections::BinaryHeap;
@@ -19,7 +19,7 @@ use crate::scene::import::{error::ImportError, nearest::Tree};
 /// Candidates per wanted sample.
 const OVERSAMPLING: usize = 4;
 /// Most neighbours that crowd a candidate. An even surface has about fifteen within reach.
-const MOST_CROWDING: usize = 64;
+const MAX_CROWDING: usize = 64;
 /// Neighbours that decide the size of a disc.
 const NEIGHBOURS: usize = 6;
 
@@ -170,7 +170,7 @@ fn draw(surface: &Surface, cumulative: &[f64], drawn: usize, seed: u64) -> Vec<S
 }
 
 /// The `count` least crowded of the tree's `points`, in their order. A point is crowded by the nearest
-/// [`MOST_CROWDING`] within `reach` whose normals face its way; the most crowded goes first.
+/// [`MAX_CROWDING`] within `reach` whose normals face its way; the most crowded goes first.
 fn least_crowded(
     tree: &Tree<'_>,
     points: &[[f32; 3]],
@@ -180,7 +180,7 @@ fn least_crowded(
 ) -> Vec<usize> {
     let near = |i: usize| {
         let same_side = |j: usize| j != i && normals[i].dot(normals[j]) >= 0.0;
-        tree.nearest_within(points[i], reach, MOST_CROWDING, same_side)
+        tree.nearest_within(points[i], reach, MAX_CROWDING, same_side)
     };
     let crowding = |squared: f64| (1.0 - (squared.sqrt() / reach).min(1.0)).powi(8);
     let weight = |i: usize| near(i).into_iter().fold(0.0, |sum, (squared, _)| sum + crowding(squared));
@@ -284,6 +284,6 @@ mod tests {
         let tree = Tree::new(&points);
         let reach = 2.0 * (1.0 / (2.0 * 3f64.sqrt() * 1000.0)).sqrt();
         let most = points.iter().map(|&p| tree.nearest_within(p, reach, usize::MAX, |_| true).len()).max();
-        assert!(most.unwrap() <= MOST_CROWDING, "{most:?} within reach");
+        assert!(most.unwrap() <= MAX_CROWDING, "{most:?} within reach");
     }
 }

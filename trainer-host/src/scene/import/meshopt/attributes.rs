@@ -9,16 +9,16 @@ use super::source::{Fault, Source};
 /// Elements packed together.
 const GROUP: usize = 16;
 /// Most elements in a block.
-const MOST_ELEMENTS: usize = 256;
+const MAX_ELEMENTS: usize = 256;
 /// Most bytes that the elements of a block take.
-const MOST_BYTES: usize = 8192;
+const MAX_BYTES: usize = 8192;
 /// Byte positions in a channel.
 const CHANNEL: usize = 4;
 /// First byte of a stream, without its version.
 const MAGIC: u8 = 0xa0;
 
 /// Differences at one byte position of a block.
-type Differences = [u8; MOST_ELEMENTS];
+type Differences = [u8; MAX_ELEMENTS];
 
 /// How the bytes at one position of a block are stored.
 enum Stored {
@@ -83,7 +83,7 @@ pub fn decode(bytes: &[u8], count: usize, stride: usize) -> Result<Vec<u8>, Faul
         _ => modes.iter().map(|&byte| Channel::from_byte(byte)).collect::<Result<_, _>>()?,
     };
     let mut source = Source(body);
-    let most = ((MOST_BYTES / stride) & !(GROUP - 1)).min(MOST_ELEMENTS);
+    let most = ((MAX_BYTES / stride) & !(GROUP - 1)).min(MAX_ELEMENTS);
     let mut out = Vec::new();
     let mut left = count;
     while left > 0 {
@@ -93,7 +93,7 @@ pub fn decode(bytes: &[u8], count: usize, stride: usize) -> Result<Vec<u8>, Faul
         out.resize(start + elements * stride, 0);
         for (channel, &mode) in modes.iter().enumerate() {
             let control = controls.map(|bytes| bytes[channel]);
-            let mut differences = [[0; MOST_ELEMENTS]; CHANNEL];
+            let mut differences = [[0; MAX_ELEMENTS]; CHANNEL];
             for (position, values) in differences.iter_mut().enumerate() {
                 let stored = match control {
                     None => Stored::Groups([0, 2, 4, 8]),

@@ -64,7 +64,7 @@ fn the_registration_is_there_before_the_first_update_and_all_variants_are_valida
         })
         .unwrap();
         assert_eq!(*seen.lock().unwrap(), [(1, true), (2, true), (3, true)]);
-        let written: Registration = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        let written: Preregistration = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
         assert_eq!(written.config_hash, hex(options.hash()));
         assert_eq!(written.weights, variant.weights(&options.weights));
         assert_eq!(written.validation_masks, tuned.record.registration.validation_masks);
@@ -132,7 +132,7 @@ fn recorded_states_are_trained_on_and_must_fit() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("states.json");
     let mut options = DeliveryOptions { updates: 2, warm_up: 0.0, ..options(Variant::Combined) };
-    let encoded = encode::encode(&scene, &options.encode, &crate::encode::unheard).unwrap();
+    let encoded = encode::encode(&scene, &options.encode, &crate::encode::no_progress).unwrap();
     let masks = Masks::draw(
         &encoded.stream,
         LossModel::Iid { probability: 0.5 },

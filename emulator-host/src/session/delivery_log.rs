@@ -3,20 +3,20 @@
 //! In the model both ends lie in one memory. A receipt is composed and measured, so that its length is the
 //! true one; what it reports are ranges of one log, and the sender looks only at the part of them that no
 //! earlier receipt has reported. In debug builds every receipt is also written and read, and has to say the
-//! same ([`NewsLog::reads_like`]).
+//! same ([`DeliveryLog::reads_like`]).
 
 use super::feedback::{self, Feedback, NewsRange, Reported};
 use crate::graph::{GroupIndex, PacketGraph, PacketIndex};
 
 /// All news of a session, oldest first.
 #[derive(Debug, Default)]
-pub(super) struct NewsLog {
+pub(super) struct DeliveryLog {
     pub(super) arrived: Vec<PacketIndex>,
     pub(super) recovered: Vec<PacketIndex>,
     pub(super) completed: Vec<GroupIndex>,
 }
 
-impl NewsLog {
+impl DeliveryLog {
     /// Whether the bytes of a receipt say to the sender what `reported` does.
     pub(super) fn reads_like(&self, bytes: &[u8], reported: Reported, graph: &PacketGraph) -> bool {
         let mut read = Feedback::default();
@@ -27,7 +27,7 @@ impl NewsLog {
             return false;
         }
         let mut heard = Vec::new();
-        Heard::default().hear(reported, self, graph, |packet| heard.push(packet));
+        LogReader::default().hear(reported, self, graph, |packet| heard.push(packet));
         for packets in [&mut heard, &mut read.received] {
             packets.sort_unstable();
             packets.dedup();
@@ -38,18 +38,18 @@ impl NewsLog {
 
 /// What a sender has heard of each kind of news.
 #[derive(Debug, Default)]
-pub(super) struct Heard {
-    arrived: HeardRange,
-    recovered: HeardRange,
-    completed: HeardRange,
+pub(super) struct LogReader {
+    arrived: ReadRange,
+    recovered: ReadRange,
+    completed: ReadRange,
 }
 
-impl Heard {
+impl LogReader {
     /// Calls `on_received` with the packets that the receiver has by what is reported for the first time.
     pub(super) fn hear(
         &mut self,
         reported: Reported,
-        log: &NewsLog,
+        log: &DeliveryLog,
         graph: &PacketGraph,
         mut on_received: impl FnMut(PacketIndex),
     ) {
@@ -63,9 +63,9 @@ impl Heard {
 
 /// The newest unbroken range that was heard. What lies outside of it may be heard twice; that does no harm.
 #[derive(Debug, Default)]
-struct HeardRange(NewsRange);
+struct ReadRange(NewsRange);
 
-impl HeardRange {
+impl ReadRange {
     fn hear<T: Copy>(&mut self, reported: NewsRange, log: &[T], on_news: impl FnMut(T)) {
         let NewsRange { from, to } = self.0;
         if (from..=to).contains(&reported.from) {
@@ -91,7 +91,7 @@ mod tests {
     fn everything_that_is_reported_is_heard_and_in_order_only_once() {
         let log: Vec<usize> = (0..20).collect();
         let hear = |ranges: &[(u32, u32)]| {
-            let (mut heard, mut news) = (HeardRange::default(), Vec::new());
+            let (mut heard, mut news) = (ReadRange::default(), Vec::new());
             for (from, to) in ranges {
                 heard.hear(NewsRange { from: *from, to: *to }, &log, |item| news.push(item));
             }
@@ -109,7 +109,8 @@ mod tests {
         let mut writer = ReceiptWriter::new();
         packets.iter().for_each(|packet| writer.on_arrived(graph.wire_id(*packet)));
         writer.on_complete(graph.groups()[group.at()].id);
-        let mut log = NewsLog { arrived: packets.to_vec(), completed: vec![group], ..NewsLog::default() };
+        let mut log =
+            DeliveryLog { arrived: packets.to_vec(), completed: vec![group], ..DeliveryLog::default() };
         let reported = writer.compose(Some(Nanos::from_ms(1)));
         let bytes = writer.bytes();
         assert!(log.reads_like(bytes, reported, &graph));

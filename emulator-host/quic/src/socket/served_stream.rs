@@ -25,7 +25,7 @@ pub const MAX_MEDIA_BYTES: usize = 1150;
 
 /// A stream under its name.
 #[derive(Debug)]
-pub struct Offer {
+pub struct ServedStream {
     name: String,
     message: Vec<u8>,
     /// The stream as a `.dgs` file, if it has an end.
@@ -48,7 +48,7 @@ pub(crate) struct Content {
 }
 
 /// Graphs that are kept for the next viewer who begins there. Each is as large as the rest of the clip.
-const MOST_TAILS: usize = 8;
+const MAX_TAILS: usize = 8;
 
 /// Where what comes of a stream that grows is entered.
 #[derive(Debug)]
@@ -63,7 +63,7 @@ impl LiveFeed {
     ///
     /// # Errors
     /// A packet that is too long.
-    pub fn renew(&self, stream: &Stream, graph: PacketGraph, newest: u32) -> Result<(), OfferError> {
+    pub fn renew(&self, stream: &Stream, graph: PacketGraph, newest: u32) -> Result<(), ServedStreamError> {
         let content = Content::growing(&self.name, stream, graph, newest)?;
         self.content.send_replace(Arc::new(content));
         Ok(())
@@ -75,10 +75,15 @@ impl Content {
         Self { packets, whole: Arc::new(graph), newest, tails: Mutex::default() }
     }
 
-    fn growing(name: &str, stream: &Stream, graph: PacketGraph, newest: u32) -> Result<Self, OfferError> {
+    fn growing(
+        name: &str,
+        stream: &Stream,
+        graph: PacketGraph,
+        newest: u32,
+    ) -> Result<Self, ServedStreamError> {
         let long = |(_, packet): &(usize, &Vec<u8>)| packet.len() > MAX_MEDIA_BYTES;
         if let Some((id, packet)) = stream.packets().iter().enumerate().find(long) {
-            return Err(OfferError::Packet { name: name.to_owned(), id, found: packet.len() });
+            return Err(ServedStreamError::Packet { name: name.to_owned(), id, found: packet.len() });
         }
         let packets = stream.packets().iter().map(|packet| Bytes::copy_from_slice(packet)).collect();
         Ok(Self::new(packets, graph, Some(newest)))
@@ -115,7 +120,7 @@ impl Content {
         // Not while others wait for theirs.
         let tail = Arc::new(tail(&self.whole, first)?);
         let mut tails = lock();
-        if tails.len() == MOST_TAILS {
+        if tails.len() == MAX_TAILS {
             tails.pop_front();
         }
         tails.push_back((first, tail.clone()));
@@ -125,7 +130,7 @@ impl Content {
 
 /// Why a stream cannot be offered.
 #[derive(Debug, thiserror::Error)]
-pub enum OfferError {
+pub enum ServedStreamError {
     /// The name is no name of a stream.
     #[error("{name:?} cannot name a stream: 1 to 64 letters, digits, '.', '_', '-' are allowed")]
     Name {
@@ -174,21 +179,21 @@ pub enum OfferError {
     },
 }
 
-impl Offer {
+impl ServedStream {
     /// Offers `stream` as `name`; `graph` is of the packets that are there.
     ///
     /// # Errors
-    /// [`OfferError`]; a graph with packets that the stream lacks.
-    pub fn new(name: &str, stream: &Stream, graph: PacketGraph) -> Result<Self, OfferError> {
+    /// [`ServedStreamError`]; a graph with packets that the stream lacks.
+    pub fn new(name: &str, stream: &Stream, graph: PacketGraph) -> Result<Self, ServedStreamError> {
         let named = || name.to_owned();
         for (at, _) in graph.packets().iter().enumerate() {
             let id = graph.wire_id(PacketIndex(at as u32)).index();
             let found = stream.packets().get(id).map_or(0, Vec::len);
             if !(1..=MAX_MEDIA_BYTES).contains(&found) {
-                return Err(OfferError::Packet { name: named(), id, found });
+                return Err(ServedStreamError::Packet { name: named(), id, found });
             }
         }
-        let format = |error| OfferError::Format { name: named(), error };
+        let format = |error| ServedStreamError::Format { name: named(), error };
         // Packets that the graph does not have mean nothing: their stream stays as it is numbered.
         let there = stream.packets().iter().filter(|packet| !packet.is_empty()).count();
         let file = if graph.packets().len() == there {
@@ -209,7 +214,7 @@ impl Offer {
         // What is no packet is not found in the file.
         let differs = |id: &usize| packets.get(*id).is_none_or(|found| found != &stream.packets()[*id]);
         if let Some(id) = (0..stream.packets().len()).find(differs) {
-            return Err(OfferError::Illegal { name: named(), id });
+            return Err(ServedStreamError::Illegal { name: named(), id });
         }
         let file = Some(file.clone());
         let (_, content) = watch::channel(Arc::new(Content::new(packets, graph, None)));
@@ -220,13 +225,13 @@ impl Offer {
     /// [`LiveFeed::renew`] takes them. Viewers begin at the newest window.
     ///
     /// # Errors
-    /// [`OfferError`].
+    /// [`ServedStreamError`].
     pub fn live(
         name: &str,
         stream: &Stream,
         graph: PacketGraph,
         newest: u32,
-    ) -> Result<(Self, LiveFeed), OfferError> {
+    ) -> Result<(Self, LiveFeed), ServedStreamError> {
         let content = Content::growing(name, stream, graph, newest)?;
         let (sender, content) = watch::channel(Arc::new(content));
         let offer = Self::with(name, stream, None, content)?;
@@ -238,16 +243,17 @@ impl Offer {
         stream: &Stream,
         file: Option<Bytes>,
         content: watch::Receiver<Arc<Content>>,
-    ) -> Result<Self, OfferError> {
+    ) -> Result<Self, ServedStreamError> {
         let named = || name.to_owned();
         if !is_name(name) {
-            return Err(OfferError::Name { name: named() });
+            return Err(ServedStreamError::Name { name: named() });
         }
         let message = stream.message().to_vec();
         if message.len() > MAX_MANIFEST_BYTES {
-            return Err(OfferError::Manifest { name: named(), found: message.len() });
+            return Err(ServedStreamError::Manifest { name: named(), found: message.len() });
         }
-        let manifest = stream.manifest().map_err(|error| OfferError::Format { name: named(), error })?;
+        let manifest =
+            stream.manifest().map_err(|error| ServedStreamError::Format { name: named(), error })?;
         Ok(Self { name: named(), message, file, starts: starts(&manifest), content })
     }
 

@@ -178,7 +178,7 @@ impl Modules {
 }
 
 /// Files of the crate in `folder` that need each other in a circle: each circle the names of its files.
-pub fn circles(tree: &Tree, folder: &str) -> Vec<Vec<String>> {
+pub fn cycles(tree: &Tree, folder: &str) -> Vec<Vec<String>> {
     let needs = Modules::of(tree, folder).needs();
     let reach = |start: &Vec<String>| {
         let mut seen = BTreeSet::new();
@@ -192,14 +192,14 @@ pub fn circles(tree: &Tree, folder: &str) -> Vec<Vec<String>> {
     };
     let reached: BTreeMap<&Vec<String>, BTreeSet<Vec<String>>> =
         needs.keys().map(|file| (file, reach(file))).collect();
-    let mut circles = BTreeSet::new();
+    let mut cycles = BTreeSet::new();
     for (file, beyond) in &reached {
         if beyond.contains(*file) {
             let members = beyond.iter().filter(|other| reached.get(other).is_some_and(|r| r.contains(*file)));
-            circles.insert(members.map(|path| path.join("::")).collect::<Vec<_>>());
+            cycles.insert(members.map(|path| path.join("::")).collect::<Vec<_>>());
         }
     }
-    circles.into_iter().collect()
+    cycles.into_iter().collect()
 }
 
 #[cfg(test)]
@@ -218,17 +218,17 @@ mod tests {
             ("src/a.rs", "pub struct A;\n"),
             ("src/b.rs", "use crate::A;\nfn f(_: A) {}\n"),
         ];
-        assert!(circles(&tree(&straight), "").is_empty());
+        assert!(cycles(&tree(&straight), "").is_empty());
         let mut bent = tree(&straight);
         bent.files.insert("src/a.rs".into(), "pub struct A;\nfn f() { crate::b::f() }\n".into());
-        assert_eq!(circles(&bent, ""), [["a", "b"]]);
+        assert_eq!(cycles(&bent, ""), [["a", "b"]]);
         // A parent that calls its child, whose types are the parent's.
         let family = tree(&[
             ("src/lib.rs", "mod a;\n"),
             ("src/a.rs", "mod c;\npub struct A;\nfn f() { c::g() }\n"),
             ("src/a/c.rs", "use super::A;\npub fn g() {}\n#[cfg(test)]\nmod tests { use crate::x; }\n"),
         ]);
-        assert_eq!(circles(&family, ""), [["a", "a::c"]]);
+        assert_eq!(cycles(&family, ""), [["a", "a::c"]]);
     }
 
     /// What a file takes through a parent that only names it, whatever the name, is no need of the parent.
@@ -240,12 +240,12 @@ mod tests {
             ("src/p/a.rs", "pub struct A;\npub struct Other;\n"),
             ("src/p/b.rs", "use super::{Other, Renamed};\nuse crate::p;\npub fn f(_: p::Renamed) {}\n"),
         ];
-        assert!(circles(&tree(&files), "").is_empty(), "{:?}", circles(&tree(&files), ""));
+        assert!(cycles(&tree(&files), "").is_empty(), "{:?}", cycles(&tree(&files), ""));
         // What the parent declares itself is a need of the parent, also through its name and in macros.
         for taken in ["use super::g;\n", "fn h() { p::g() }\n", "fn h() { print!(\"{}\", super::g()) }\n"] {
             let mut bent = tree(&files);
             bent.files.entry("src/p/b.rs".into()).or_default().push_str(taken);
-            assert_eq!(circles(&bent, ""), [["p", "p::b"]], "{taken}");
+            assert_eq!(cycles(&bent, ""), [["p", "p::b"]], "{taken}");
         }
     }
 }

@@ -13,9 +13,9 @@ use render_host::{Camera, adjoint::loss::photograph::Photograph};
 use super::views::PosedPhotograph;
 
 /// Fixed cameras that must agree.
-const LEAST_CAMERAS: usize = 4;
+const MIN_CAMERAS: usize = 4;
 /// Instants that each of them must have seen.
-const LEAST_INSTANTS: usize = 4;
+const MIN_INSTANTS: usize = 4;
 /// Range over time of a channel's mean over a cell of pixels from which on the cell changes.
 const CHANGE: f32 = 0.06;
 /// Cells along the longer side of a picture.
@@ -25,7 +25,7 @@ const AGREEMENT: f32 = 0.75;
 
 /// The space in which something moves.
 #[derive(Clone, Debug)]
-pub(super) struct Changing(Vec<Seen>);
+pub(super) struct MovingRegion(Vec<Seen>);
 
 /// What one fixed camera saw change.
 #[derive(Clone, Debug)]
@@ -37,7 +37,7 @@ struct Seen {
     changes: Vec<bool>,
 }
 
-impl Changing {
+impl MovingRegion {
     /// What `views` show of it; nothing where cameras move, or are few.
     pub(super) fn of(views: &[PosedPhotograph]) -> Option<Self> {
         let mut fixed: BTreeMap<Vec<u64>, Vec<&PosedPhotograph>> = BTreeMap::new();
@@ -47,8 +47,8 @@ impl Changing {
         let instants = |views: &[&PosedPhotograph]| -> usize {
             views.iter().map(|view| view.time.to_bits()).collect::<BTreeSet<_>>().len()
         };
-        fixed.retain(|_, views| instants(views) >= LEAST_INSTANTS);
-        if fixed.len() < LEAST_CAMERAS {
+        fixed.retain(|_, views| instants(views) >= MIN_INSTANTS);
+        if fixed.len() < MIN_CAMERAS {
             return None;
         }
         let fixed: Vec<Vec<&PosedPhotograph>> = fixed.into_values().collect();
@@ -161,17 +161,17 @@ mod tests {
 
     #[test]
     fn places_that_something_passes_change_and_others_do_not() {
-        let changing = Changing::of(&views(true)).unwrap();
+        let changing = MovingRegion::of(&views(true)).unwrap();
         assert!(changing.contains([0.8, 0.0, 0.0]) && changing.contains([-0.8, 0.0, 0.0]));
         assert!(!changing.contains([0.0, 1.0, 0.0]) && !changing.contains([0.0, 0.0, 1.4]));
     }
 
     #[test]
     fn cameras_that_move_or_see_nothing_move_tell_nothing() {
-        assert!(Changing::of(&views(false)).is_none());
+        assert!(MovingRegion::of(&views(false)).is_none());
         let mut moving = views(true);
         moving.truncate(3);
-        assert!(Changing::of(&moving).is_none());
+        assert!(MovingRegion::of(&moving).is_none());
         let mut other_size = views(true);
         let (width, height) = (112, 96);
         let lens = Intrinsics { width, height, ..other_size[0].camera.intrinsics() };
@@ -179,8 +179,8 @@ mod tests {
         let camera = Camera::new(lens, camera.rotation(), camera.translation()).unwrap();
         let photograph = Photograph::new(width, height, vec![0; 4 * 112 * 96]).unwrap();
         other_size.push(PosedPhotograph { camera, photograph, ..other_size[0].clone() });
-        assert!(Changing::of(&other_size).unwrap().contains([0.8, 0.0, 0.0]), "a camera of its own");
+        assert!(MovingRegion::of(&other_size).unwrap().contains([0.8, 0.0, 0.0]), "a camera of its own");
         let one_each: Vec<_> = views(true).into_iter().step_by(4).collect();
-        assert!(Changing::of(&one_each).is_none());
+        assert!(MovingRegion::of(&one_each).is_none());
     }
 }

@@ -61,7 +61,7 @@ impl PathFacts {
 
 /// What the view holds besides the graph and the status table; renewed when feedback comes.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Outlook {
+pub(super) struct ViewState {
     pub(super) path: PathFacts,
     pub(super) playout_start: Nanos,
     pub(super) playing: bool,
@@ -72,7 +72,7 @@ pub(super) struct Outlook {
     pub(super) viewpoint: Option<Viewpoint>,
 }
 
-impl Outlook {
+impl ViewState {
     pub(super) fn new(path: PathFacts, retransmissions: u32, startup: StartupRule) -> Self {
         Self {
             path,

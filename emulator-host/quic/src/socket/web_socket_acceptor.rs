@@ -11,23 +11,23 @@ const WAITING: usize = 16;
 
 /// See the module. Clones lead to the same server.
 #[derive(Clone, Debug)]
-pub struct Entrance {
-    granted: mpsc::Sender<Entering>,
+pub struct WebSocketAcceptor {
+    granted: mpsc::Sender<AcceptedWebSocket>,
     places: Arc<Semaphore>,
 }
 
 /// A WebSocket on its way in.
 #[derive(Debug)]
-pub(super) struct Entering {
+pub(super) struct AcceptedWebSocket {
     pub(super) socket: Socket,
     pub(super) address: SocketAddr,
     /// Given back when the WebSocket has ended.
     pub(super) place: OwnedSemaphorePermit,
 }
 
-impl Entrance {
+impl WebSocketAcceptor {
     /// For so many WebSockets at once, and where they come out.
-    pub(super) fn new(places: usize) -> (Self, mpsc::Receiver<Entering>) {
+    pub(super) fn new(places: usize) -> (Self, mpsc::Receiver<AcceptedWebSocket>) {
         let (granted, entering) = mpsc::channel(WAITING);
         (Self { granted, places: Arc::new(Semaphore::new(places)) }, entering)
     }
@@ -39,6 +39,6 @@ impl Entrance {
 
     /// Lets a WebSocket in. Where the server has closed, it is closed with it.
     pub(crate) async fn enter(&self, socket: Socket, address: SocketAddr, place: OwnedSemaphorePermit) {
-        let _ = self.granted.send(Entering { socket, address, place }).await;
+        let _ = self.granted.send(AcceptedWebSocket { socket, address, place }).await;
     }
 }

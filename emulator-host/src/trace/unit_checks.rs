@@ -12,7 +12,7 @@ const FASTEST: Rate = Rate::from_mbps(500);
 const SHORTEST: Nanos = Nanos::from_ms(1);
 
 /// What makes the units doubtful, by the median row.
-pub(super) fn doubts(rows: &[Step]) -> Vec<Warning> {
+pub(super) fn unit_warnings(rows: &[Step]) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut gaps: Vec<Nanos> = rows.windows(2).map(|pair| pair[1].at - pair[0].at).collect();
     gaps.sort_unstable();
@@ -28,7 +28,7 @@ pub(super) fn doubts(rows: &[Step]) -> Vec<Warning> {
 }
 
 /// What makes the unit of delays with this median doubtful.
-pub(super) fn doubtful_delay(median: Nanos) -> Option<Warning> {
+pub(super) fn delay_unit_warning(median: Nanos) -> Option<Warning> {
     let is_short = median > Nanos::ZERO && median < SHORTEST;
     is_short.then(|| Warning::LikelySeconds { ms: median.as_ms() })
 }

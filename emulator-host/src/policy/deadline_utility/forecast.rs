@@ -5,14 +5,14 @@ use crate::{
     clock::Nanos,
     graph::{
         PacketGraph,
-        pieces::{Addition, FrameSums},
+        pieces::{Contribution, FrameSums},
     },
     policy::{SenderView, probability::mean_arrival},
 };
 
 /// The forecast of one moment.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Outlook {
+pub(super) struct Forecast {
     /// Seconds until the first byte sent now arrives.
     first_byte_s: f64,
     /// Seconds per byte after it.
@@ -24,7 +24,7 @@ pub(super) struct Outlook {
     interval_s: f64,
     /// First frame that is still to come.
     next_frame: u32,
-    /// Chance that one datagram is lost.
+    /// Probability that one datagram is lost.
     pub loss: f64,
     base_weight: f64,
     delay_weight: f64,
@@ -39,7 +39,7 @@ const SHORTEST_WINDOW_S: f64 = 0.5;
 /// Bytes that the path spends on a datagram beside the packet.
 pub(super) const OVERHEAD_BYTES: u32 = 58;
 
-impl Outlook {
+impl Forecast {
     pub(super) fn new(view: &SenderView<'_>, config: &DeadlineUtilityConfig, now: Nanos) -> Self {
         let back = view.minimum_rtt.as_s() / 2.0;
         // Before the first sample nothing is known but the assumed round trip.
@@ -55,7 +55,7 @@ impl Outlook {
         let interval = view.graph.frame_interval();
         let played = now - view.playout_start;
         let next = if now < view.playout_start { 0 } else { played.0 / interval.0 + 1 };
-        let outlook = Self {
+        let forecast = Self {
             first_byte_s,
             per_byte_s: 8.0 / (view.rate.0 as f64).max(1.0),
             spread_s: view.rtt_variation.as_s() + 0.25 * queue_s,
@@ -68,7 +68,7 @@ impl Outlook {
             error_growth: config.error_growth,
             wait_s: None,
         };
-        Self { wait_s: outlook.wait(view.graph, view.horizon_frame), ..outlook }
+        Self { wait_s: forecast.wait(view.graph, view.horizon_frame), ..forecast }
     }
 
     /// Seconds until a packet that is sent then arrives in the middle of the next window before `horizon`.
@@ -91,7 +91,7 @@ impl Outlook {
 
     /// What `parts` are expected to add if `bytes` of theirs are sent from now on, losses aside; and,
     /// weighted, how much less it is once the next window is half over. With none to come, waiting loses all.
-    pub(super) fn value(&self, parts: &[Addition], sums: &FrameSums, bytes: u32) -> f64 {
+    pub(super) fn value(&self, parts: &[Contribution], sums: &FrameSums, bytes: u32) -> f64 {
         match self.wait_s {
             Some(wait) => {
                 let (soon, late) = self.soon_and_late(parts, sums, bytes, wait);
@@ -109,7 +109,7 @@ impl Outlook {
     /// What `parts` are expected to add if sending starts now, and if it starts `delay_s` seconds from now.
     pub(super) fn soon_and_late(
         &self,
-        parts: &[Addition],
+        parts: &[Contribution],
         sums: &FrameSums,
         bytes: u32,
         delay_s: f64,
@@ -132,7 +132,7 @@ impl Outlook {
         (soon, late)
     }
 
-    /// Chance that a packet of `bytes` sent now, and again whenever it is lost and time allows, arrives
+    /// Probability that a packet of `bytes` sent now, and again whenever it is lost and time allows, arrives
     /// before `frame` is shown.
     pub(super) fn chance(&self, bytes: u32, frame: u32, round_trip_s: f64) -> f64 {
         let expected = self.first_byte_s + f64::from(bytes) * self.per_byte_s;
@@ -171,7 +171,7 @@ mod tests {
     };
 
     /// Windows of a second, of which frame 0 is shown at `start_ms`, over 1 Mbit/s and 20 ms one way.
-    fn at(graph: &PacketGraph, start_ms: u64, horizon_frame: u32, now_ms: u64) -> Outlook {
+    fn at(graph: &PacketGraph, start_ms: u64, horizon_frame: u32, now_ms: u64) -> Forecast {
         let count = graph.packets().len();
         let (status, sent_at) = (vec![PacketStatus::Waiting; count], vec![Nanos::ZERO; count]);
         let view = SenderView {
@@ -191,7 +191,7 @@ mod tests {
             retransmissions: 2,
             viewpoint: None,
         };
-        Outlook::new(&view, &DeadlineUtilityConfig::default(), Nanos::from_ms(now_ms))
+        Forecast::new(&view, &DeadlineUtilityConfig::default(), Nanos::from_ms(now_ms))
     }
 
     fn clip() -> PacketGraph {
@@ -220,10 +220,10 @@ mod tests {
     fn what_begins_later_scores_little_until_waiting_would_cost_it() {
         let graph = clip();
         let division: &Division = &graph.division();
-        let part = |first, last| Addition { group: GroupIndex(0), first, last, utility: 1.0, base: 0.0 };
+        let part = |first, last| Contribution { group: GroupIndex(0), first, last, utility: 1.0, base: 0.0 };
         let score = |start_ms, now_ms, first, last| {
-            let outlook = at(&graph, start_ms, 120, now_ms);
-            outlook.value(&[part(first, last)], &division.sums, 1000)
+            let forecast = at(&graph, start_ms, 120, now_ms);
+            forecast.value(&[part(first, last)], &division.sums, 1000)
         };
         let [near, far] = [score(2000, 0, 0, 29), score(2000, 0, 30, 59)];
         assert!(near > 4.0 * far && far > 0.0, "{near} {far}");

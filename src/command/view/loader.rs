@@ -15,10 +15,10 @@ use std::{
 use anyhow::{Context, Result, bail};
 use codec_core::internals::wire::receipt::ViewerPose;
 use dgs_quic::socket::{
-    ClientConfig, Conditions, Granted, Locator, RoundWish, Screen, Trust, ViewerLink, play,
+    ClientConfig, Conditions, FrameSink, Granted, Locator, RoundRequest, Trust, ViewerLink, play,
 };
 use dgs_viewer::{Conditions as Network, FIRST_BYTES};
-use dgs_window::{Arrival, Feed, Feeder, Wish, feed};
+use dgs_window::{Arrival, Feed, FeedRequest, Feeder, feed};
 use emulator_host::Rate;
 use ureq::{Agent, Body, http::Response};
 
@@ -28,7 +28,7 @@ use crate::command::socket::runtime;
 const MAX_FILE_BYTES: u64 = 4 << 30;
 /// Longest wait for a connection or an answer; the bytes of a part may take as long again, and besides what
 /// they need at [`SLOWEST_BYTES_PER_S`].
-const PATIENCE: Duration = Duration::from_secs(30);
+const TIMEOUT: Duration = Duration::from_secs(30);
 /// Bytes per second of the slowest path over which parts of a file are waited for.
 const SLOWEST_BYTES_PER_S: u64 = 4 << 10;
 /// Tries of one request, and what lies between two.
@@ -39,7 +39,7 @@ const ROUND_EVERY: Duration = Duration::from_millis(250);
 /// Packets that wait for their manifest.
 const EARLY_PACKETS: usize = 128;
 /// How soon the end of the window is noticed.
-const NOTICE: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// How long the end waits for the thread: longer than a session takes to say bye, and no longer, since a
 /// file's server may not answer.
 const LAST_WORDS: Duration = Duration::from_secs(1);
@@ -50,12 +50,12 @@ pub(super) fn is_address(input: &str) -> bool {
 }
 
 /// What brings a stream, on a thread of its own.
-pub(super) struct Arriving {
+pub(super) struct StreamLoader {
     thread: JoinHandle<()>,
     stop: Arc<AtomicBool>,
 }
 
-impl Arriving {
+impl StreamLoader {
     /// Begins to bring what lies at `address`.
     ///
     /// # Errors
@@ -68,12 +68,12 @@ impl Arriving {
         let is_file = address.starts_with("http://") || path.ends_with(".dgs");
         let thread = if is_file && !address.starts_with("dgs://") {
             let url = address.to_owned();
-            named("dgs-ranges", move || bring_file(&url, &feeder, &heard))?
+            named("dgs-ranges", move || load_file(&url, &feeder, &heard))?
         } else {
             let locator: Locator = address.parse()?;
             let Some(pin) = locator.pin else { bail!("{address}: its #PIN is missing; dgs serve prints it") };
             let config = ClientConfig { loops: true, ..ClientConfig::new(locator, Trust::Pin(pin)) };
-            named("dgs-session", move || bring_session(&config, feeder, &heard))?
+            named("dgs-session", move || load_session(&config, feeder, &heard))?
         };
         Ok((Self { thread, stop }, feed))
     }
@@ -84,7 +84,7 @@ impl Arriving {
         // So that a server hears of it. A thread that waits for a file ends with the process.
         let begun = Instant::now();
         while !self.thread.is_finished() && begun.elapsed() < LAST_WORDS {
-            thread::sleep(NOTICE / 10);
+            thread::sleep(POLL_INTERVAL / 10);
         }
     }
 }
@@ -96,7 +96,7 @@ fn named(name: &str, act: impl FnOnce() + Send + 'static) -> Result<JoinHandle<(
 /// The session's end: packets go to the window.
 struct Forwarding {
     arrivals: SyncSender<Arrival>,
-    wishes: Receiver<Wish>,
+    wishes: Receiver<FeedRequest>,
     /// Packets that came before the manifest; `None` after it.
     early: Option<Vec<Vec<u8>>>,
     /// The round that is wanted, and when the last was begun.
@@ -136,7 +136,7 @@ impl Forwarding {
     }
 }
 
-impl Screen for Forwarding {
+impl FrameSink for Forwarding {
     fn show(&mut self, _: &mut dgs_player::Player, _: u32) -> Result<(), String> {
         self.send_waiting();
         Ok(())
@@ -157,13 +157,13 @@ impl Screen for Forwarding {
         }
     }
 
-    fn wanted_round(&mut self) -> Option<RoundWish> {
+    fn requested_round(&mut self) -> Option<RoundRequest> {
         for wish in self.wishes.try_iter() {
             match wish {
-                Wish::From(seconds) => self.wanted_us = Some((seconds * 1e6) as u64),
-                Wish::Network(network) => self.conditions = Some(conditions(&network)),
-                Wish::Sight(pose) => self.pose = Some(pose),
-                Wish::Bytes(_) | Wish::Whole => {}
+                FeedRequest::From(seconds) => self.wanted_us = Some((seconds * 1e6) as u64),
+                FeedRequest::Network(network) => self.conditions = Some(conditions(&network)),
+                FeedRequest::Sight(pose) => self.pose = Some(pose),
+                FeedRequest::Bytes(_) | FeedRequest::Whole => {}
             }
         }
         if self.round_at.is_some_and(|at| at.elapsed() < ROUND_EVERY) {
@@ -171,7 +171,7 @@ impl Screen for Forwarding {
         }
         let start_us = self.wanted_us.take()?;
         self.round_at = Some(Instant::now());
-        Some(RoundWish { start_us, conditions: self.conditions.take() })
+        Some(RoundRequest { start_us, conditions: self.conditions.take() })
     }
 
     fn granted(&mut self, granted: Granted) {
@@ -199,7 +199,7 @@ fn conditions(network: &Network) -> Conditions {
 }
 
 /// Receives until `stop`.
-fn bring_session(config: &ClientConfig, feeder: Feeder, stop: &AtomicBool) {
+fn load_session(config: &ClientConfig, feeder: Feeder, stop: &AtomicBool) {
     let Feeder { arrivals, wishes } = feeder;
     let last = arrivals.clone();
     let mut screen = Forwarding {
@@ -214,7 +214,7 @@ fn bring_session(config: &ClientConfig, feeder: Feeder, stop: &AtomicBool) {
     };
     let stopped = async {
         while !stop.load(Ordering::Relaxed) {
-            tokio::time::sleep(NOTICE).await;
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
     };
     let why = match runtime() {
@@ -229,11 +229,11 @@ fn bring_session(config: &ClientConfig, feeder: Feeder, stop: &AtomicBool) {
 }
 
 /// Fetches a file, what is wished for first, until all of it is there or `stop`.
-fn bring_file(url: &str, feeder: &Feeder, stop: &AtomicBool) {
+fn load_file(url: &str, feeder: &Feeder, stop: &AtomicBool) {
     let patient = Agent::config_builder()
-        .timeout_resolve(Some(PATIENCE))
-        .timeout_connect(Some(PATIENCE))
-        .timeout_recv_response(Some(PATIENCE));
+        .timeout_resolve(Some(TIMEOUT))
+        .timeout_connect(Some(TIMEOUT))
+        .timeout_recv_response(Some(TIMEOUT));
     let agent = Agent::new_with_config(patient.build());
     let end = match fetch(&agent, url, feeder, stop) {
         Ok(()) => None,
@@ -267,21 +267,21 @@ fn fetch(agent: &Agent, url: &str, feeder: &Feeder, stop: &AtomicBool) -> Result
     feeder.arrivals.send(Arrival::Front { bytes, length })?;
     while !stop.load(Ordering::Relaxed) {
         let arrival = match feeder.wishes.try_recv() {
-            Ok(Wish::Bytes(range)) => match ask(agent, url, Some((range.start, range.end)))? {
+            Ok(FeedRequest::Bytes(range)) => match ask(agent, url, Some((range.start, range.end)))? {
                 Answer::Part { bytes, file: now } => {
                     now.check_unchanged(&file)?;
                     Arrival::Piece { at: range.start, bytes }
                 }
                 Answer::Whole(bytes) => Arrival::File(bytes),
             },
-            Ok(Wish::Whole) => match ask(agent, url, None)? {
+            Ok(FeedRequest::Whole) => match ask(agent, url, None)? {
                 Answer::Whole(bytes) => Arrival::File(bytes),
                 Answer::Part { .. } => bail!("a part came where the whole was asked for"),
             },
             // A file is fetched in its own order.
-            Ok(Wish::From(_) | Wish::Network(_) | Wish::Sight(_)) => continue,
+            Ok(FeedRequest::From(_) | FeedRequest::Network(_) | FeedRequest::Sight(_)) => continue,
             Err(TryRecvError::Empty) => {
-                thread::sleep(NOTICE / 10);
+                thread::sleep(POLL_INTERVAL / 10);
                 continue;
             }
             Err(TryRecvError::Disconnected) => return Ok(()),
@@ -345,7 +345,7 @@ fn ask_once(agent: &Agent, url: &str, part: Option<(u64, u64)>) -> Result<Answer
     let mut request = agent.get(url);
     if let Some((from, past)) = part {
         request = request.header("Range", format!("bytes={from}-{}", past.saturating_sub(1)));
-        let longest = PATIENCE + Duration::from_secs((past - from) / SLOWEST_BYTES_PER_S);
+        let longest = TIMEOUT + Duration::from_secs((past - from) / SLOWEST_BYTES_PER_S);
         request = request.config().timeout_recv_body(Some(longest)).build();
     }
     let response = request.call()?;

@@ -24,7 +24,7 @@ const INSTANTS: usize = 64;
 /// How many training views decide whether what hardly moves may stand still.
 const VIEWS: usize = 16;
 /// What their mean PSNR may fall by at once, dB. What only wandered costs less, or nothing.
-const MOST_LOSS_DB: f64 = 0.1;
+const MAX_LOSS_DB: f64 = 0.1;
 /// Times that the allowed motion is halved where pictures do not bear it.
 const HALVINGS: u32 = 3;
 
@@ -58,11 +58,11 @@ impl Trial<'_> {
 ///
 /// # Errors
 /// A view that cannot be rendered.
-pub(super) fn stand_still(model: &mut Model, most: f32, trial: &Trial) -> Result<usize, TrainError> {
+pub(super) fn freeze_still(model: &mut Model, most: f32, trial: &Trial) -> Result<usize, TrainError> {
     let mut before = None;
     for halving in 0..=HALVINGS {
         let mut tried = model.clone();
-        let count = tried.stand_still(most * 0.5f32.powi(halving as i32));
+        let count = tried.freeze_still(most * 0.5f32.powi(halving as i32));
         if count == 0 {
             break;
         }
@@ -71,7 +71,7 @@ pub(super) fn stand_still(model: &mut Model, most: f32, trial: &Trial) -> Result
             None => *before.insert(trial.psnr_db(model)?),
         };
         let then = trial.psnr_db(&tried)?;
-        if then >= now - MOST_LOSS_DB {
+        if then >= now - MAX_LOSS_DB {
             *model = tried;
             return Ok(count);
         }
@@ -83,7 +83,7 @@ impl Model {
     /// Stands Gaussians still, in the middle of where they have been, whose centre never is farther than
     /// `most` scene units from there, and whose turning never moves a standard deviation of theirs farther.
     /// Returns how many.
-    pub(super) fn stand_still(&mut self, most: f32) -> usize {
+    pub(super) fn freeze_still(&mut self, most: f32) -> usize {
         if self.nodes.is_empty() {
             return 0;
         }

@@ -1,12 +1,12 @@
-//! Solves the linear programme of the bound by the primal-dual hybrid gradient method.
+//! Solves the linear program of the bound by the primal-dual hybrid gradient method.
 //!
 //! Steps are diagonal (one over the sums of rows and columns), iterates are averaged, and every so often the
 //! method starts again from the better of the current and the mean multipliers. A step is linear in the size
-//! of the programme.
+//! of the program.
 
 use crate::graph::{
     PacketGraph,
-    pieces::{Addition, FrameSums, Pieces},
+    pieces::{Contribution, FrameSums, Pieces},
 };
 
 /// Bytes that the link spends on every datagram beside the packet.
@@ -46,9 +46,9 @@ struct Need {
     at: usize,
 }
 
-/// The programme.
+/// The program.
 #[derive(Debug)]
-pub(super) struct Programme {
+pub(super) struct LinearProgram {
     spans: Vec<Span>,
     needs: Vec<Need>,
     need_count: usize,
@@ -69,11 +69,11 @@ struct Multipliers {
 }
 
 impl Multipliers {
-    fn zero(programme: &Programme) -> Self {
+    fn zero(program: &LinearProgram) -> Self {
         Self {
-            capacity: vec![0.0; programme.capacity.len()],
-            needs: vec![0.0; programme.need_count],
-            order: vec![0.0; programme.value.len()],
+            capacity: vec![0.0; program.capacity.len()],
+            needs: vec![0.0; program.need_count],
+            order: vec![0.0; program.value.len()],
         }
     }
 
@@ -99,7 +99,7 @@ impl Multipliers {
     }
 }
 
-impl Programme {
+impl LinearProgram {
     /// Frames of `graph`, which consists of `pieces`, in slots of `slot_frames`. `capacity`: bytes that can
     /// be there when a frame is shown.
     pub(super) fn new(
@@ -309,7 +309,7 @@ fn distance(one: &[f64], other: &[f64]) -> f64 {
     one.iter().zip(other).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
-/// Variables of a programme with a slot for every frame.
+/// Variables of a program with a slot for every frame.
 pub(super) fn fine_variables(graph: &PacketGraph, pieces: &Pieces) -> usize {
     let needed = (0..pieces.len()).filter(|piece| pieces.needed_from(*piece) < graph.frames());
     needed.map(|piece| (pieces.useful_until(piece) + 1 - pieces.needed_from(piece)) as usize).sum()
@@ -317,7 +317,7 @@ pub(super) fn fine_variables(graph: &PacketGraph, pieces: &Pieces) -> usize {
 
 /// What `piece` adds to `frame`; less than nothing if it takes more from it than it brings.
 fn net_gain(pieces: &Pieces, sums: &FrameSums, piece: usize, frame: u32) -> f64 {
-    let parts = pieces.parts(piece).iter().chain(pieces.harms(piece));
+    let parts = pieces.parts(piece).iter().chain(pieces.negative_contributions(piece));
     let shown = parts.filter(|part| (part.first..=part.last).contains(&frame));
-    shown.map(|part| sums.gain(&Addition { last: frame, ..*part }, frame).0).sum()
+    shown.map(|part| sums.gain(&Contribution { last: frame, ..*part }, frame).0).sum()
 }

@@ -28,7 +28,7 @@ pub static BLEND_BACK: Source = Source {
 
 /// What all worlds of a batch share.
 #[derive(Debug)]
-pub struct Walk {
+pub struct BlendBuffers {
     /// The camera and its settings.
     pub frame: wgpu::Buffer,
     /// Projected splats.
@@ -49,7 +49,7 @@ pub struct Walk {
     pub grid: [u32; 2],
 }
 
-impl Walk {
+impl BlendBuffers {
     /// The first seven bindings of every kernel that blends.
     pub fn lists<'a>(&'a self, batch: &'a wgpu::Buffer, marks: &'a wgpu::Buffer) -> [&'a wgpu::Buffer; 7] {
         [&self.frame, batch, &self.splats, &self.starts, &self.entries, &self.masks, marks]
