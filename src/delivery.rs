@@ -145,7 +145,7 @@ fn graph_parts(
 /// A block of Gaussians of one cell, numbered through the stream, at one level.
 type BlockLevel = (usize, Level);
 
-/// Which packet brings what, of that which shows with what the stream has.
+/// Which packet carries each level of a block, of the levels that can be usable with what the stream has.
 struct Brought {
     by: BTreeMap<BlockLevel, PacketIndex>,
     /// Per packet, whether it brings anything that shows.

@@ -56,7 +56,7 @@ use crate::{
     progress::Progress,
 };
 
-/// Whether a person is watching.
+/// Whether progress is left out: the output is for a program (`--json`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quiet(pub bool);
 

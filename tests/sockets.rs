@@ -126,7 +126,7 @@ impl Running {
     }
 }
 
-/// Ten megabits, twenty milliseconds, and luck.
+/// Ten megabits, twenty milliseconds, and losses drawn from a seed.
 fn lossy(loss: f64) -> Impairment {
     let path = PathConfig {
         capacity: Capacity::Constant(Rate::from_mbps(10)),

@@ -4,7 +4,7 @@
 //! nothing. The caller goes on with `step(None, now)` until no datagram comes out. Time never runs backwards.
 //!
 //! In every box, at every moment, received = delivered + dropped + inside ([`Counts::balanced`]).
-//! Every box that draws has its own random stream, so no box changes another's draws.
+//! Every box that draws has its own random stream, so how often one draws does not change another.
 
 mod chain;
 mod delay;
@@ -40,7 +40,7 @@ pub struct Datagram {
     pub bytes: u32,
 }
 
-/// What a box has to say.
+/// Result of one step of a box.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BoxOutput {
     /// A datagram leaves now; ask again.

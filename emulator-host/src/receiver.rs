@@ -295,10 +295,10 @@ mod tests {
     use crate::rng::stream;
 
     fn shuffled(graph: &PacketGraph, seed: u64) -> Vec<PacketIndex> {
-        let mut luck = stream(seed, "shuffle");
+        let mut random = stream(seed, "shuffle");
         let mut packets: Vec<PacketIndex> = (0..graph.packets().len() as u32).map(PacketIndex).collect();
         for at in (1..packets.len()).rev() {
-            packets.swap(at, luck.up_to(at as u64) as usize);
+            packets.swap(at, random.up_to(at as u64) as usize);
         }
         packets
     }

@@ -37,7 +37,7 @@ pub struct SenderRow {
     pub rate_bps: u64,
 }
 
-/// Books of one box.
+/// Packets and bytes that one box received, delivered and dropped.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct BoxRow {
     /// Label of the box.

@@ -1,6 +1,6 @@
 //! Makes random streams, keyed by a seed and the label of their owner.
 //!
-//! Adding a box to a chain, or drawing more numbers in one box, changes no other box's luck: this is what
+//! Adding a box to a chain, or drawing more numbers in one box, changes no draw of another box: this is what
 //! lets every policy meet the same losses (common random numbers).
 
 use rand::Rng;
@@ -32,9 +32,9 @@ impl RandomStream {
         }
     }
 
-    /// True with the given chance. Always draws once, so that luck stays aligned whatever the chance is.
-    pub fn happens(&mut self, chance: Probability) -> bool {
-        (self.0.next_u64() >> 32) < chance.0
+    /// True with this probability. Always draws once, so that later draws do not depend on the probability.
+    pub fn happens(&mut self, probability: Probability) -> bool {
+        (self.0.next_u64() >> 32) < probability.0
     }
 }
 

@@ -1,8 +1,8 @@
 //! Runs every combination of controllers, schedulers, conditions, traces and replicates of a design.
 //!
 //! A *block* is one condition over one window of one trace. All controllers and schedulers of a block get
-//! the same packets, the same window and the same luck, so that they are compared in pairs. A replicate is
-//! another window of the trace and other luck. Blocks are numbered; what a block gives follows from the
+//! the same packets, the same window and the same random numbers, so that they are compared in pairs. A replicate is
+//! another window of the trace and other random numbers. Blocks are numbered; what a block gives follows from the
 //! design and its number alone, so blocks may run in any order, on any number of threads and in any number of
 //! processes.
 
@@ -253,9 +253,9 @@ impl Sweep {
             delay_trace: delay,
             ..PathConfig::default()
         };
-        let luck = format!("sweep/{}/{replicate}", swept.name);
+        let stream_name = format!("sweep/{}/{replicate}", swept.name);
         Ok(SessionConfig {
-            seed: stream(design.seed, &luck).bits(),
+            seed: stream(design.seed, &stream_name).bits(),
             forward,
             reverse,
             sample_interval: Nanos::ZERO,
@@ -347,7 +347,7 @@ mod tests {
         one.run_block(0).unwrap();
         assert_eq!(one.run_block(5).unwrap(), other.run_block(5).unwrap());
         let digest = |block| other.run_block(block).unwrap()[0].0.digest.clone();
-        assert_ne!(digest(0), digest(1), "another window, other luck");
+        assert_ne!(digest(0), digest(1), "another window, other random numbers");
         assert_ne!(digest(0), digest(6), "another trace");
         let reseeded = Sweep::new(Design { seed: 8, ..design() }).unwrap();
         assert_ne!(reseeded.run_block(0).unwrap()[0].0.digest, digest(0));

@@ -160,7 +160,7 @@ proptest! {
 }
 
 #[test]
-fn a_box_more_changes_no_other_boxs_luck() {
+fn a_box_more_changes_no_other_boxs_draws() {
     let lossy = PathConfig {
         capacity: Capacity::Unlimited,
         loss: LossModel::Iid(0.3),

@@ -1,9 +1,9 @@
 //! A sequence renders frames of one scene seen by one camera, each from what the one before left.
 //!
 //! Between two frames, or between two delivery states of one frame, most Gaussians often stay what they
-//! were. A [`SequenceRenderer`] projects only those that changed, keeps the depth order and the tile lists where
-//! nothing moved, mends the lists of the tiles that a few moved splats leave or enter, and blends only
-//! tiles in which something changed. The picture and its [`Counters`](crate::Counters) are those of a
+//! were. A [`SequenceRenderer`] projects only those that changed, keeps the depth order and the tile lists
+//! where nothing moved, updates the lists of the tiles that a few moved splats leave or enter, and blends
+//! only tiles in which something changed. The picture and its [`Counters`](crate::Counters) are those of a
 //! fresh [`render`](crate::render()) of the same frame, bit for bit: what is kept is what would be computed
 //! again, and a tile is kept only if its list holds the same splats, equal in every bit, in the same order.
 //!

@@ -136,9 +136,9 @@ pub struct Train {
 /// How Gaussians are added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum DensityName {
-    /// Split those that views pull at, pixel by pixel.
+    /// Split those with large view-space gradients, lengths added up pixel by pixel (AbsGS).
     Split,
-    /// Split those that views pull at in sum.
+    /// Split those with large view-space gradients, added up before the length is taken (3DGS).
     SplitBySum,
     /// Move transparent ones to opaque ones (MCMC).
     Relocate,

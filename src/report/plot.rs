@@ -102,7 +102,7 @@ pub enum Shape {
     Area,
 }
 
-/// Whose colour a mark has.
+/// What a mark belongs to, which sets its colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hue {
     /// The run at this place; six colours and markers, then again.

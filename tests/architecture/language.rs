@@ -23,7 +23,13 @@ const RULES: [&str; 9] = [
 ];
 
 /// Words that names are not made of; the glossary says what stands for them.
-const NAMES: [&str; 38] = [
+const NAMES: [&str; 44] = [
+    "luck",
+    "unheard",
+    "farewell",
+    "vouched",
+    "retreat",
+    "bend",
     "stretch",
     "stretches",
     "menu",

@@ -1,8 +1,8 @@
-//! Says what a scheduler asks of the sender besides sending its choices.
+//! What a scheduler requires of the sender besides sending its choices.
 
 use crate::clock::Nanos;
 
-/// How the sender serves a scheduler.
+/// What a scheduler requires of the sender: a bound on the queue, and who decides on lost packets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SenderRequirements {
     /// Longest queue that media may cause on the path: nothing but control is sent while what is in flight

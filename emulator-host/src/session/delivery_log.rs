@@ -61,7 +61,8 @@ impl LogReader {
     }
 }
 
-/// The newest unbroken range that was heard. What lies outside of it may be heard twice; that does no harm.
+/// The newest unbroken range of entries that were processed. Others may be processed twice, which changes
+/// nothing.
 #[derive(Debug, Default)]
 struct ReadRange(NewsRange);
 

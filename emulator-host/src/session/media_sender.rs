@@ -312,7 +312,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         self.view_state.path.in_flight = in_flight;
     }
 
-    /// The fate of so many datagrams of any kind has become known.
+    /// `acked` datagrams of any kind were acknowledged, and `lost` were found lost.
     pub fn on_acks_and_losses(&mut self, acked: usize, lost: usize, now: Nanos) {
         self.loss.settle(acked, lost, now);
     }

@@ -1,4 +1,4 @@
-//! Parity waits until all that it protects has left, and then for its worth.
+//! Queues parity until every packet it protects was sent, and sends it once its expected gain is high enough.
 
 use std::collections::VecDeque;
 

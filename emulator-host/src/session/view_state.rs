@@ -59,7 +59,7 @@ impl PathFacts {
     }
 }
 
-/// What the view holds besides the graph and the status table; renewed when feedback comes.
+/// Path and playout part of [`SenderView`], renewed when feedback comes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ViewState {
     pub(super) path: PathFacts,

@@ -3,7 +3,7 @@
 //! Differences are paired: a scheduler and the baseline in the same block under the same controller.
 //! Intervals are those of a cluster bootstrap: traces are drawn with replacement, then windows within them,
 //! because windows of one trace resemble each other. All conditions of a replicate share the window and its
-//! luck, so where several are summarised together their mean over the window is drawn, not each.
+//! random numbers, so where several are summarised together their mean over the window is drawn, not each.
 
 use std::collections::BTreeMap;
 
@@ -104,10 +104,10 @@ fn compare(condition: &str, trials: Vec<&Trial>, baseline: &str) -> Vec<Comparis
     let traces = windows(&trials, &arms);
     let everything: Vec<&Window> = traces.iter().flatten().collect();
     let means = mean_of(&everything);
-    let mut luck = stream(0, "sweep/summary");
+    let mut random = stream(0, "sweep/summary");
     // Drawing from a single window gives that window again.
     let draws = if everything.len() > 1 { RESAMPLES } else { 0 };
-    let drawn: Vec<Window> = (0..draws).map(|_| mean_of(&resample(&traces, &mut luck))).collect();
+    let drawn: Vec<Window> = (0..draws).map(|_| mean_of(&resample(&traces, &mut random))).collect();
     let mut comparisons = Vec::new();
     for (at, (controller, scheduler)) in arms.iter().enumerate() {
         let base = arms.iter().position(|arm| *arm == (*controller, baseline)).unwrap_or(at);
@@ -146,11 +146,11 @@ fn windows(trials: &[&Trial], arms: &[Arm<'_>]) -> Vec<Vec<Window>> {
     by_trace.values().map(|windows| windows.values().map(over_conditions).collect()).collect()
 }
 
-fn resample<'a>(traces: &'a [Vec<Window>], luck: &mut RandomStream) -> Vec<&'a Window> {
+fn resample<'a>(traces: &'a [Vec<Window>], random: &mut RandomStream) -> Vec<&'a Window> {
     let mut sample = Vec::new();
     for _ in 0..traces.len() {
-        let trace = &traces[luck.up_to(traces.len() as u64 - 1) as usize];
-        sample.extend((0..trace.len()).map(|_| &trace[luck.up_to(trace.len() as u64 - 1) as usize]));
+        let trace = &traces[random.up_to(traces.len() as u64 - 1) as usize];
+        sample.extend((0..trace.len()).map(|_| &trace[random.up_to(trace.len() as u64 - 1) as usize]));
     }
     sample
 }
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn a_difference_that_is_luck_is_not_certain() {
+    fn a_difference_by_chance_is_not_certain() {
         let blocks: Vec<(usize, f64, f64)> =
             (0..40).map(|at| (at / 10, 0.5, if at % 2 == 0 { 0.4 } else { 0.61 })).collect();
         let found = difference(&blocks);

@@ -22,17 +22,17 @@ impl Trace {
 }
 
 fn generate(seed: u64, length: Nanos) -> Trace {
-    let mut luck = stream(seed, "trace/bursty");
+    let mut random = stream(seed, "trace/bursty");
     let count = (length.min(MAX_PERIOD).0.div_ceil(STEP.0)).max(1);
     let mut rates: Vec<u64> = Vec::with_capacity(count as usize);
     while (rates.len() as u64) < count {
-        let (centre, shortest, spread) = match luck.up_to(9) {
+        let (centre, shortest, spread) = match random.up_to(9) {
             0..=4 => (6_500_000, 10, 30),
             5..=7 => (3_000_000, 5, 15),
             _ => (120_000, 3, 12),
         };
-        for _ in 0..=shortest + luck.up_to(spread) {
-            rates.push(centre * 3 / 4 + luck.up_to(centre / 2));
+        for _ in 0..=shortest + random.up_to(spread) {
+            rates.push(centre * 3 / 4 + random.up_to(centre / 2));
         }
     }
     rates.truncate(count as usize);

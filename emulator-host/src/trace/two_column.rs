@@ -7,7 +7,7 @@ use super::{
 };
 use crate::clock::{Nanos, Rate};
 
-/// Which way the rate of a row holds. The two families of public traces differ; the difference is one step.
+/// Whether a row's rate holds after its time or before it: the public sets of traces use both conventions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HoldDirection {
     /// From its own time until the next row's; the last row for as long as the one before it.

@@ -1,4 +1,4 @@
-//! Doubts the units of a trace whose numbers are far from those that paths have.
+//! Warns where the numbers of a trace suggest other units: ms for s, kbit/s for Mbit/s.
 
 use super::{Step, Warning};
 use crate::clock::{Nanos, Rate};
@@ -11,7 +11,7 @@ const FASTEST: Rate = Rate::from_mbps(500);
 /// One-way delays that are typically shorter than this look like seconds: measured paths have milliseconds.
 const SHORTEST: Nanos = Nanos::from_ms(1);
 
-/// What makes the units doubtful, by the median row.
+/// Warnings about units that are likely wrong, by the median row.
 pub(super) fn unit_warnings(rows: &[Step]) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut gaps: Vec<Nanos> = rows.windows(2).map(|pair| pair[1].at - pair[0].at).collect();
@@ -27,7 +27,7 @@ pub(super) fn unit_warnings(rows: &[Step]) -> Vec<Warning> {
     warnings
 }
 
-/// What makes the unit of delays with this median doubtful.
+/// A warning if the unit of delays with this median is likely wrong.
 pub(super) fn delay_unit_warning(median: Nanos) -> Option<Warning> {
     let is_short = median > Nanos::ZERO && median < SHORTEST;
     is_short.then(|| Warning::LikelySeconds { ms: median.as_ms() })

@@ -68,7 +68,7 @@ impl Engine {
     /// States of another number of groups.
     pub fn fast(&self, states: &States) -> Result<Vec<f64>, CounterfactualError> {
         self.check(states)?;
-        Ok(self.ask(|engine| fast::errors(engine, states)))
+        Ok(self.with_overflow_rescue(|engine| fast::errors(engine, states)))
     }
 
     /// Δ_g(m) of every group g in every context m: leave-one-out of those present and add-one-in of those
@@ -78,7 +78,7 @@ impl Engine {
     /// States of another number of groups.
     pub fn utilities(&self, contexts: &States) -> Result<Utilities, CounterfactualError> {
         self.check(contexts)?;
-        Ok(self.ask(|engine| utilities::utilities(engine, contexts)))
+        Ok(self.with_overflow_rescue(|engine| utilities::utilities(engine, contexts)))
     }
 
     /// Mean squared error of every world, and the gradient of their sum weighted by `weights`, one finite

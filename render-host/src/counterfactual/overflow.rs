@@ -7,39 +7,39 @@
 
 use super::{engine::Engine, utilities::Utilities};
 
-/// An answer made of squares.
-pub(super) trait Squared {
+/// A result of squared errors, which may overflow f32.
+pub(super) trait SquaredError {
     /// Takes what is not finite from `other`, times `gain`.
-    fn mend(&mut self, other: Self, gain: f64);
+    fn replace_non_finite(&mut self, other: Self, gain: f64);
 }
 
-impl Squared for f64 {
-    fn mend(&mut self, other: Self, gain: f64) {
+impl SquaredError for f64 {
+    fn replace_non_finite(&mut self, other: Self, gain: f64) {
         if !self.is_finite() {
             *self = other * gain;
         }
     }
 }
 
-impl Squared for Vec<f64> {
-    fn mend(&mut self, other: Self, gain: f64) {
-        self.iter_mut().zip(other).for_each(|(value, other)| value.mend(other, gain));
+impl SquaredError for Vec<f64> {
+    fn replace_non_finite(&mut self, other: Self, gain: f64) {
+        self.iter_mut().zip(other).for_each(|(value, other)| value.replace_non_finite(other, gain));
     }
 }
 
-impl Squared for Utilities {
-    fn mend(&mut self, other: Self, gain: f64) {
-        self.sse.mend(other.sse, gain);
-        self.delta.mend(other.delta, gain);
+impl SquaredError for Utilities {
+    fn replace_non_finite(&mut self, other: Self, gain: f64) {
+        self.sse.replace_non_finite(other.sse, gain);
+        self.delta.replace_non_finite(other.delta, gain);
     }
 }
 
 impl Engine {
-    /// Asks a fast mode, and the darker scene, if there is one, about what overflows.
-    pub(super) fn ask<T: Squared>(&self, mode: impl Fn(&Self) -> T) -> T {
+    /// Runs a fast mode; values that overflow are computed on the scene at a lower brightness.
+    pub(super) fn with_overflow_rescue<T: SquaredError>(&self, mode: impl Fn(&Self) -> T) -> T {
         let mut answer = mode(self);
         if let Some(scaled_down) = &self.scaled_down {
-            answer.mend(mode(&scaled_down.engine), scaled_down.gain);
+            answer.replace_non_finite(mode(&scaled_down.engine), scaled_down.gain);
         }
         answer
     }

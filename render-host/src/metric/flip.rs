@@ -70,7 +70,7 @@ pub fn flip(test: &Image, reference: &Image, pixels_per_degree: f64) -> Result<F
     Ok(Flip { mean, map })
 }
 
-/// What the eye makes of one image.
+/// An image behind FLIP's filters: colour after contrast sensitivity, edges and points.
 struct Seen {
     /// Hunt-adjusted CIELAB after contrast sensitivity.
     colour: Vec<[f32; 3]>,

@@ -166,7 +166,7 @@ pub(crate) fn bin_by_class(
     fill(projected, order, band, columns, settings, &Classes { fade, of: classes, count }, out);
 }
 
-/// Who finishes a tile for whom.
+/// Occlusion classes: opaque Gaussians of a class hide only Gaussians of their own class.
 struct Classes<'a> {
     fade: Option<Fade>,
     /// Class of each Gaussian; empty where all are of class 0.

@@ -1,4 +1,4 @@
-//! Finds where a tile is surely finished, so that nothing behind it need be listed.
+//! Early termination of whole tiles: finds the splat behind which every pixel of a tile is opaque.
 //!
 //! A splat that covers a whole tile takes at least `1 - a` from every transmittance in it, where `a` is its
 //! smallest alpha there: log alpha is concave, so that is the alpha of a corner. Once the product of what

@@ -69,7 +69,7 @@ pub fn message(first: &[u8]) -> Result<std::result::Result<&[u8], u64>> {
     }
 }
 
-/// See the module.
+/// A plan of the byte ranges of a `.dgs` file that are fetched next.
 #[derive(Debug)]
 pub struct RangePlan {
     len: u64,

@@ -255,7 +255,7 @@ fn save(folder: &Folder, dataset: &Dataset, trainer: &Trainer, progress: f64) ->
     files::write(&folder.checkpoint, &checkpoint.to_bytes()?)
 }
 
-/// PSNR (dB) on a few views that no gradient comes from, for the eye; nothing is chosen by it.
+/// PSNR (dB) on a few validation or test views, for display only: nothing is chosen by it.
 fn glance(trainer: &Trainer, dataset: &Dataset) -> Option<f64> {
     let (reduced, background) = (trainer.reduced(), trainer.options().background);
     let found = if dataset.validation.is_empty() {

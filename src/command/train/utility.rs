@@ -16,7 +16,7 @@ use crate::{
     pipeline::{self, Quiet},
 };
 
-/// Groups of each level that do harm, in the eyes of some photographs.
+/// Groups per level whose utility, measured against some photographs, is negative.
 #[derive(Debug, Serialize)]
 pub(super) struct Audit {
     /// Which photographs.

@@ -25,7 +25,7 @@ const APART: f32 = 0.55;
 /// What a split takes from the logarithm of the scale along its axis.
 const NARROWER: f32 = 0.5;
 
-/// How much the views have pulled at each Gaussian's centre since Gaussians were last added.
+/// View-space gradients of each Gaussian's centre, since Gaussians were last added.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct ViewGradients {
     /// Sum of the lengths of gradients on the image plane.
@@ -172,12 +172,12 @@ pub(super) fn jitter(gaussians: &mut TrainedGaussians, rate: f32, rng: &mut Pcg6
     for index in 0..gaussians.len() {
         let faintness = 1.0 / (1.0 + (100.0 * (gaussians.opacity(index) - 0.005)).exp());
         let strength = 50.0 * rate * faintness;
-        let luck = Vec3::new(normal(rng), normal(rng), normal(rng));
+        let noise = Vec3::new(normal(rng), normal(rng), normal(rng));
         if strength > 1e-7 {
             let turn = unit_matrix(gaussians, index);
             let scales = gaussians.log_scale.item(index);
             let variances = Vec3::new(scales[0], scales[1], scales[2]).map(|s| (2.0 * s).exp());
-            let step = turn * (variances * (turn.transpose() * luck)) * strength;
+            let step = turn * (variances * (turn.transpose() * noise)) * strength;
             let moved = Vec3::from_slice(gaussians.position.item(index)) + step;
             gaussians.position.item_mut(index).copy_from_slice(&moved.to_array());
         }

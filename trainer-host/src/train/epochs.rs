@@ -1,7 +1,7 @@
-//! Epochs part a clip where one set of Gaussians cannot follow it.
+//! Splits a clip into epochs where one set of Gaussians cannot follow it.
 //!
 //! Where pictures of the same cameras change at once, a trial trains the clip whole, and its two parts with
-//! as many Gaussians and steps in all; it is parted there if that shows better. Parts are parted likewise.
+//! as many Gaussians and steps in all; it is split there if its PSNR is higher then, and so are its parts.
 //! A clip without such a change costs one look at its pictures.
 
 use std::ops::Range;

@@ -41,8 +41,8 @@ pub struct TrainOptions {
     pub rigidity: f32,
     /// Weight in the loss of how far the mean node moves and turns, extents and half radians.
     pub stillness: f32,
-    /// Gaussians that never are farther than this from the middle of their path are stood still, extents, or
-    /// half of that and so on where pictures of training views lose by it; 0: none.
+    /// Gaussians that stay this close to the middle of their path become static, in extents of the scene; the
+    /// limit is halved while the PSNR of training views falls by it. 0: none.
     pub stand_still_within: f32,
     /// Weight in the loss of how unevenly nodes move over time.
     pub smoothness: f32,

@@ -7,10 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{average::Average, density::ViewGradients, finish::Finishing, model::Model};
 
-/// Times that training may fall back before it gives up.
+/// Rollbacks after which a training gives up.
 pub(super) const MAX_ROLLBACKS: u32 = 3;
-/// A mean loss that rose by this much, of about 1 that pictures without anything in common have, has lost
-/// what was there.
+/// Rise of the mean loss that counts as divergence; the loss of pictures without anything in common is about 1.
 const MAX_RISE: f64 = 0.3;
 /// Most steps of a training.
 const MAX_STEPS: u32 = 1 << 30;
@@ -69,7 +68,7 @@ impl State {
     }
 
     /// Random numbers of this step and no other.
-    pub(super) fn luck(&self, seed: u64) -> Pcg64Mcg {
+    pub(super) fn rng(&self, seed: u64) -> Pcg64Mcg {
         let attempt = u64::from(self.step) | u64::from(self.rollbacks) << 40;
         Pcg64Mcg::seed_from_u64(seed ^ attempt.wrapping_mul(0x9E37_79B9_7F4A_7C15))
     }

@@ -239,7 +239,7 @@ impl<'a> Trainer<'a> {
         observe(Stage::Prepare);
         self.enter_stages(progress);
         self.finish(progress)?;
-        let mut rng = self.state.luck(self.options.seed);
+        let mut rng = self.state.rng(self.options.seed);
         let view = self.next_view(progress);
         let loss = self.differentiate(view, progress, &mut rng, observe)?;
         let mut rollback = self.state.divergence(loss);

@@ -54,7 +54,7 @@ pub enum PublishError {
     Channel(#[from] ChannelError),
 }
 
-/// What happens meanwhile.
+/// What happens while a broadcast is published.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PublishEvent {
     /// The relay takes broadcasts, by this version of the protocol.

@@ -28,7 +28,7 @@ pub(super) enum NotSent {
     Refused(SendDatagramError),
 }
 
-/// Is ready once a datagram has left.
+/// Resolves once a datagram was sent.
 pub(super) type SendFuture<'c> = Pin<Box<dyn Future<Output = Result<(), NotSent>> + Send + 'c>>;
 
 /// How a session comes to its end, from either side.

@@ -38,7 +38,7 @@ const MAX_VIEWER_BYTES: u64 = 1 << 20;
 pub struct Impairment {
     /// From the server to the viewer. What viewers send back is left alone. Without reordering.
     pub path: PathConfig,
-    /// Seed of the luck of the first destination; the next has the next.
+    /// Seed of the random numbers of the first destination; the next destination has the next seed.
     pub seed: u64,
 }
 
@@ -48,7 +48,7 @@ pub(super) struct ImpairedSocket {
     links: Arc<Links>,
 }
 
-/// All links, and who wakes up for them.
+/// All links, and the notifier of the task that drains them.
 pub(super) struct Links {
     /// The link that every destination has until it gets another; without one, none has.
     of_all: Option<Impairment>,
@@ -157,7 +157,7 @@ impl Links {
         some || (self.count.load(Ordering::Relaxed) > 0 && self.lock().contains_key(destination))
     }
 
-    /// Takes datagrams into the link of their destination, each with its own luck.
+    /// Takes datagrams into the link of their destination, each with its own random numbers.
     fn enter(&self, transmit: &Transmit<'_>, socket: &dyn AsyncUdpSocket) {
         let mut links = self.lock();
         let now = self.now();

@@ -1,4 +1,4 @@
-//! Says what a client plays, and why it does not.
+//! Settings of a client, and errors of its playback.
 
 use std::time::Duration;
 

@@ -50,7 +50,7 @@ pub(super) struct WebClose {
     pub(super) reason: String,
 }
 
-/// Becomes the way in which the peer closes the session.
+/// Resolves when the peer closes the session, to how it did.
 pub(super) type Closing = Pin<Box<dyn Future<Output = WebClose> + Send>>;
 
 /// A session.

@@ -9,7 +9,7 @@ use super::web_socket::Socket;
 /// WebSockets that wait to be taken on.
 const WAITING: usize = 16;
 
-/// See the module. Clones lead to the same server.
+/// Hands upgraded WebSockets to the session server; clones share the channel.
 #[derive(Clone, Debug)]
 pub struct WebSocketAcceptor {
     granted: mpsc::Sender<AcceptedWebSocket>,

@@ -84,7 +84,7 @@ pub fn run(
     Ok(walk.report(now.min(end)))
 }
 
-/// How long the two ends take to come to terms over the path of `config`, losses and queues included.
+/// Duration of the handshake over the path of `config`, losses and queues included.
 ///
 /// # Errors
 /// As [`simulate`], and [`VirtualError::Handshake`] if it takes longer than a minute.

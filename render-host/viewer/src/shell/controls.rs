@@ -7,7 +7,7 @@ use crate::{
     playback::Playback,
 };
 
-/// See the module.
+/// Clock, camera and background of a viewer, for JavaScript.
 #[wasm_bindgen]
 #[derive(Debug)]
 pub struct Controls {

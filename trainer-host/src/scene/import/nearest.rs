@@ -176,7 +176,7 @@ pub(crate) mod tests {
     use super::*;
 
     /// Whether steps counted at n and at 4n speak for more than n log n: four times as many, with half as
-    /// many again for the logarithm and for luck.
+    /// many again for the logarithm and for unlucky orders.
     pub fn grows_too_fast(at_n: u64, at_4n: u64) -> bool {
         at_4n > at_n * 6
     }
