@@ -1,10 +1,10 @@
 //! Runs every combination of controllers, schedulers, conditions, traces and replicates of a design.
 //!
-//! A *block* is one condition over one window of one trace. All controllers and schedulers of a block get
-//! the same packets, the same window and the same random numbers, so that they are compared in pairs. A replicate is
-//! another window of the trace and other random numbers. Blocks are numbered; what a block gives follows from the
-//! design and its number alone, so blocks may run in any order, on any number of threads and in any number of
-//! processes.
+//! A *block* is one condition over one window of one trace. All controllers and schedulers of a block get the
+//! same packets, the same window and the same random numbers, so that they are compared in pairs. A replicate
+//! is another window of the trace and other random numbers. Blocks are numbered; what a block gives follows
+//! from the design and its number alone, so blocks may run in any order, on any number of threads and in any
+//! number of processes.
 
 mod summary;
 

@@ -1,9 +1,9 @@
 //! Pieces that each add to the picture at once, and what they add, to which frames. `division` makes them.
 //!
-//! - [`super::ClosureRule::Sliced`]: a packet is a piece. It adds to every group that it carries the share of its
-//!   bytes.
-//! - [`super::ClosureRule::AllOrNothing`]: a group is a piece, with the packets that it alone has. A packet that
-//!   several groups share is a piece of its own that adds nothing by itself and that each of them needs.
+//! - [`super::ClosureRule::Sliced`]: a packet is a piece. It adds to every group that it carries the share of
+//!   its bytes.
+//! - [`super::ClosureRule::AllOrNothing`]: a group is a piece, with the packets that it alone has. A packet
+//!   that several groups share is a piece of its own that adds nothing by itself and that each of them needs.
 //!
 //! A piece counts once everything that it needs counts. What a schedule adds is then the sum over its pieces,
 //! exactly as [`crate::report::FrameRow::utility`] has it: per frame, over the positive utility of the groups

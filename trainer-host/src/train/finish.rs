@@ -31,8 +31,8 @@ use crate::{
 
 /// Values are priced in one step out of so many, and their slopes count so many times.
 const PRICE_EVERY: u32 = 8;
-/// Size of the first encoding, relative to the target, with motion and without: the rate term takes off what is
-/// above, and with motion so do its steps.
+/// Size of the first encoding, relative to the target, with motion and without: the rate term takes off what
+/// is above, and with motion so do its steps.
 const ROOM: (f64, f64) = (1.1, 0.99);
 
 /// How the scene will be encoded.

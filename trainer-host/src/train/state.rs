@@ -9,7 +9,8 @@ use super::{average::Average, density::ViewGradients, finish::Finishing, model::
 
 /// Rollbacks after which a training gives up.
 pub(super) const MAX_ROLLBACKS: u32 = 3;
-/// Rise of the mean loss that counts as divergence; the loss of pictures without anything in common is about 1.
+/// Rise of the mean loss that counts as divergence; the loss of pictures without anything in common is about
+/// 1.
 const MAX_RISE: f64 = 0.3;
 /// Most steps of a training.
 const MAX_STEPS: u32 = 1 << 30;

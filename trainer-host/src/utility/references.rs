@@ -272,7 +272,8 @@ fn frames_of(content: &Content<'_>, span: Span) -> Result<(EpochId, Range<u32>),
     })
 }
 
-/// Numbers for one purpose, keyed by what they are for, so that how often one span draws does not change another.
+/// Numbers for one purpose, keyed by what they are for, so that how often one span draws does not change
+/// another.
 pub(super) fn random(span: Span, index: u32, purpose: u32, seed: u64) -> Pcg64 {
     let label = match span {
         Span::Canonical(e) => u64::from(e.0) << 1,

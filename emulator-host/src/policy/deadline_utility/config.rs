@@ -6,8 +6,8 @@ use crate::{clock::Nanos, graph::pieces::Contribution, policy::SenderView};
 /// Settings. [`Default`] is what measured best on windows that were not used to report.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DeadlineUtilityConfig {
-    /// Longest queue that media may cause on the path ([`super::super::SenderRequirements::max_queue_delay`]); `None`: as the
-    /// congestion window allows.
+    /// Longest queue that media may cause on the path
+    /// ([`super::super::SenderRequirements::max_queue_delay`]); `None`: as the congestion window allows.
     pub max_queue_delay: Option<Nanos>,
     /// Every lost packet competes again for as long as it can show; otherwise lost base packets are repeated
     /// within a budget and nothing else is.

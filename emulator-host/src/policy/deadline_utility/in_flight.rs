@@ -8,7 +8,8 @@ use crate::{
 };
 
 /// Whether `packet`, sent at `now` behind what is in flight, comes before its last frame is shown. Of the
-/// queue no more is counted on than `max_queue_delay`, which media cause themselves: a longer one is a forecast.
+/// queue no more is counted on than `max_queue_delay`, which media cause themselves: a longer one is a
+/// forecast.
 pub(super) fn arrives_in_time(
     view: &SenderView<'_>,
     packet: PacketIndex,
@@ -20,8 +21,8 @@ pub(super) fn arrives_in_time(
     !view.is_past(view.graph.useful_until(packet), now + behind.min(max_queue_delay))
 }
 
-/// Probability that a packet in flight arrives, given that no receipt has named it: a loss grows likely as its
-/// age passes what receipts take.
+/// Probability that a packet in flight arrives, given that no receipt has named it: a loss grows likely as
+/// its age passes what receipts take.
 pub(super) fn survival(view: &SenderView<'_>, packet: PacketIndex, loss: f64, now: Nanos) -> f64 {
     let age = (now - view.sent_at[packet.at()]).as_s();
     let spread = view.rtt_variation.as_s().max(1e-3);

@@ -92,7 +92,8 @@ pub(super) struct Plan {
     /// Kept, so that plans cost no allocation.
     children: Vec<(f64, Block)>,
     finished: Vec<usize>,
-    /// Longest queue that media cause ([`DeadlineUtilityConfig::max_queue_delay`]); zero if nothing bounds it.
+    /// Longest queue that media cause ([`DeadlineUtilityConfig::max_queue_delay`]); zero if nothing bounds
+    /// it.
     max_queue_delay: Nanos,
     target: Option<u32>,
     /// Packets at the front of the target of which none waits.

@@ -63,7 +63,7 @@ fn protocol(setup: &Setup) -> String {
          said; bulk: twice the link's rate, limited: six tenths of it, frame by frame with 500 ms of \
          lookahead; constant links of 2, 5 and 20 Mbit/s with 10 and 40 ms each way and 200 ms of queue, \
          without loss, with 1, 2 and 5 % independent loss and with 2 % in bursts of three, means over seeds \
-         because losses are drawn per datagram; {windows} windows of measured traces, mean rate between 1 and 20 \
+         as losses are drawn per datagram; {windows} windows of measured traces, mean rate between 1 and 20 \
          Mbit/s, 300 ms of queue. goodput: median difference of model to quinn-proto in absolute value, \
          error the 95th percentile. late: pairs whose 95th percentile of frame lateness agrees within 5 ms \
          or 5 %, error the median difference. quinn-proto differs from RFC 9002 in that windows grow before \

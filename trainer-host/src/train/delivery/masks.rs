@@ -104,7 +104,8 @@ fn parse(digits: &str) -> Option<Vec<u8>> {
     if rest.is_empty() { pairs.iter().map(byte).collect() } else { None }
 }
 
-/// What random numbers are for. Each purpose has its own seed, so draws for one do not shift those of another.
+/// What random numbers are for. Each purpose has its own seed, so draws for one do not shift those of
+/// another.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Purpose {
     Training,
