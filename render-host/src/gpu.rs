@@ -3,8 +3,7 @@
 //!
 //! ```text
 //! Device ─▶ Scene (uploaded once) ─▶ Renderer::draw (camera in, nothing read back) ─▶ Renderer::read
-//!        └▶ Scene + Stages (camera in) ─▶ counterfactual::Engine: errors of worlds, utilities of groups
-//!                                      └▶ adjoint::Engine: losses of worlds, gradients summed over them
+//!        └▶ Scene + Stages (camera in) ─▶ adjoint::Engine: losses of worlds, gradients summed over them
 //! ```
 //!
 //! All of them write a [`Recording`]: which kernels run on which buffers in how many workgroups. One
@@ -25,7 +24,6 @@
 pub mod adjoint;
 mod buffers;
 mod clock;
-pub mod counterfactual;
 mod device;
 mod error;
 mod executor;

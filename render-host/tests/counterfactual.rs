@@ -7,7 +7,7 @@ mod support;
 use proptest::prelude::*;
 use render_host::{
     Camera, Image, Settings, Splats,
-    counterfactual::{CounterfactualError, Engine, States, Variants, brute, tuner},
+    counterfactual::{CounterfactualError, Engine, States, Variants, WorldBatch, brute},
     reference,
 };
 
@@ -96,7 +96,7 @@ fn worst(got: &[f64], expected: &[f64], scale: impl Fn(usize) -> f64) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
 
-    /// Errors and images of strict mode are those of the world alone, on exact bytes.
+    /// Errors of strict mode and pictures of a batch are those of the world alone, on exact bytes.
     #[test]
     fn strict_is_brute_force_bit_for_bit(
         seed in any::<u64>(), n in 0usize..1500, degree in 0u8..2, count in 1usize..27,
@@ -110,7 +110,8 @@ proptest! {
         let world = seed as usize % worlds;
         let alone = brute::image(&variants(&case), &states, world, &case.camera, &settings).unwrap();
         let bytes = |image: &Image| image.rgb().iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<_>>();
-        prop_assert_eq!(bytes(&engine.image(&states, world).unwrap()), bytes(&alone));
+        let batch = WorldBatch::new(&variants(&case), &case.camera, &settings).unwrap();
+        prop_assert_eq!(bytes(&batch.images(&states).unwrap()[world]), bytes(&alone));
     }
 
     /// Every fast mode against brute force without early stop.
@@ -230,37 +231,11 @@ fn more_groups_than_a_word_and_nobody_home() {
 }
 
 #[test]
-fn the_tuner_finds_a_batch_for_the_engine() {
-    let case = Case::new(300, 0, 20, (64, 48), 21);
-    let engine = case.engine(&Settings::default());
-    assert!(engine.predict_bytes(usize::MAX) >= usize::MAX as u64, "it saturates");
-    let budget = engine.predict_bytes(40);
-    // Each world takes a quarter more than predicted, so the first probe runs out.
-    let tuned = tuner::largest(
-        budget,
-        4096,
-        |worlds| engine.predict_bytes(worlds),
-        |worlds| {
-            let used = engine.predict_bytes(worlds + worlds / 4);
-            if used > budget {
-                return Err(tuner::OutOfMemory);
-            }
-            assert_eq!(engine.fast(&random(20, worlds, 1)).unwrap().len(), worlds);
-            Ok(used)
-        },
-    );
-    assert_eq!((tuned.probes[0].worlds, tuned.probes[0].used), (40, Err(tuner::OutOfMemory)));
-    assert_eq!(tuned.worlds, 32);
-}
-
-#[test]
 fn what_is_refused_is_named() {
     let case = Case::new(10, 0, 4, (20, 20), 1);
     let engine = case.engine(&Settings::default());
-    let states = States::full(4);
     let refused = |e: CounterfactualError, words: &str| assert!(e.to_string().contains(words), "{e}");
     refused(engine.fast(&States::full(5)).unwrap_err(), "5 groups for variants of 4");
-    refused(engine.image(&states, 1).unwrap_err(), "world 1 of 1");
     let small = Image::filled(10, 20, [0.0; 3]).unwrap();
     let error = Engine::new(&variants(&case), &case.camera, &small, &Settings::default()).unwrap_err();
     refused(error, "20 x 20 and 10 x 20");

@@ -40,7 +40,7 @@ pub struct Job<'a> {
     pub runs: &'a [TableRun],
     /// Where its values go; what it holds after an error does not matter.
     pub out: &'a mut [i16],
-    /// What became of it; set by [`decode_many`](crate::decode_many).
+    /// What became of it; set by [`decode_many_with`](crate::decode_many_with).
     pub result: Result<()>,
 }
 

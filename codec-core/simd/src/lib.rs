@@ -24,7 +24,7 @@ pub use batch::BatchReceiver;
 pub use crc::crc32;
 pub use job::{Job, Tables};
 pub use kernel::Kernel;
-pub use many::{decode_many, decode_many_with};
+pub use many::decode_many_with;
 pub use repair::{combine, combines};
 
 /// Compiles the examples of the README.

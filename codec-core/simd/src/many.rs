@@ -6,11 +6,6 @@ use crate::{
     kernel::Kernel,
 };
 
-/// Decodes `jobs` with the best kernel of this machine.
-pub fn decode_many(tables: &Tables<'_>, jobs: &mut [Job<'_>]) {
-    decode_many_with(Kernel::best(), tables, jobs);
-}
-
 /// Decodes `jobs` with `kernel`; with the scalar one if this machine lacks it.
 pub fn decode_many_with(kernel: Kernel, tables: &Tables<'_>, jobs: &mut [Job<'_>]) {
     match kernel.vectors() {

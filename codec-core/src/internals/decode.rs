@@ -18,9 +18,9 @@ mod paper;
 use self::cluster::{ClusterDecode, cut, symbols_of};
 use crate::{
     error::{Error, Result},
-    gaussian::{Gaussian, ShDegree},
+    gaussian::Gaussian,
     ids::{ClusterId, EpochId, Span},
-    layout::{Shape, rest_len},
+    layout::Shape,
     receiver::Content,
     wire::manifest::Profile,
 };
@@ -83,7 +83,7 @@ impl<'a> Decoder<'a> {
     }
 
     /// Decodes frame `frame` of `content` into the front of `out`, and the higher bands into
-    /// `sh_rest` ([`ShDegree::rest_len`] of the manifest's degree per Gaussian).
+    /// `sh_rest` ([`ShDegree::rest_len`](crate::ShDegree::rest_len) of the manifest's degree per Gaussian).
     ///
     /// # Errors
     /// A frame past the end; [`crate::ErrorKind::Capacity`] naming the memory that is too small.
@@ -187,9 +187,4 @@ fn paper(mut part: ClusterDecode<'_, '_>, t: u32) -> Result<(u32, u32)> {
     let usable = part.content.arrived(part.cell, 0)?.usable();
     paper::dequantise(&mut part, t, usable)?;
     Ok((u32::from(usable > 0), 1))
-}
-
-/// Length of `sh_rest` for `gaussians` Gaussians of `degree`.
-pub const fn sh_rest_len(gaussians: usize, degree: ShDegree) -> usize {
-    gaussians * rest_len(degree.get())
 }

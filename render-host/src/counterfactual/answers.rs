@@ -12,7 +12,6 @@ use super::{
     variants::Variants,
     versions::{Distortions, Versions},
 };
-use crate::image::Image;
 
 impl Engine {
     /// Squared error of each world, bit for bit that of the world rendered alone.
@@ -42,24 +41,6 @@ impl Engine {
         }
         versions.check(contexts)?;
         Ok(distortion::distortions(self, versions, contexts))
-    }
-
-    /// Picture of `world`, bit for bit that of the world rendered alone.
-    ///
-    /// # Errors
-    /// States of another number of groups, or no such world.
-    pub fn image(&self, states: &States, world: usize) -> Result<Image, CounterfactualError> {
-        self.check_world(states, world)?;
-        Ok(self.images(&states.one(world))?.pop().unwrap_or_default())
-    }
-
-    /// Pictures of all worlds, each bit for bit that of the world rendered alone.
-    ///
-    /// # Errors
-    /// States of another number of groups.
-    pub fn images(&self, states: &States) -> Result<Vec<Image>, CounterfactualError> {
-        self.check(states)?;
-        Ok(strict::images(&self.shared, &self.camera, &self.settings, states)?.images)
     }
 
     /// Squared error of each world without early stop: relative error below 2e-6 against f64 arithmetic.

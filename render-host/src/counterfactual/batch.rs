@@ -1,6 +1,6 @@
 //! Draws pictures of many worlds in one call, each bit for bit that of the world rendered alone.
 
-use std::{cell::Cell, ops::Range};
+use std::cell::Cell;
 
 use codec_core::Gaussian;
 
@@ -91,25 +91,6 @@ impl WorldBatch {
                 drawn.images.iter().map(|i| size_of_val(i.rgb()) + size_of::<Image>()).sum();
             Ok(self.shared.bytes() + (pictures + drawn.scratch) as u64)
         })
-    }
-
-    /// Draws all worlds, `worlds` per call (at least one), and hands over each batch with the range of
-    /// worlds it holds.
-    ///
-    /// # Errors
-    /// As [`WorldBatch::images`].
-    pub fn for_each_batch(
-        &self,
-        states: &States,
-        worlds: usize,
-        mut each: impl FnMut(Range<usize>, Vec<Image>),
-    ) -> Result<(), CounterfactualError> {
-        for first in (0..states.len()).step_by(worlds.max(1)) {
-            let range = first..(first + worlds.max(1)).min(states.len());
-            let images = self.images(&states.range(range.clone()))?;
-            each(range, images);
-        }
-        Ok(())
     }
 }
 

@@ -4,7 +4,7 @@ use super::{
     error::CounterfactualError,
     shared_lists::SharedLists,
     squares::{Planes, cut},
-    states::{CHUNK, States},
+    states::States,
     variants::Variants,
 };
 use crate::{
@@ -73,18 +73,6 @@ impl Engine {
         Ok(Self { shared, reference, against, settings, camera, groups, scaled_down })
     }
 
-    /// Bytes that [`Engine::fast`] or [`Engine::strict`] of `worlds` worlds needs, this engine included.
-    /// Saturates.
-    pub fn predict_bytes(&self, worlds: usize) -> u64 {
-        let (tiles, groups) = (self.shared.tiles(), self.groups);
-        // A sum per tile and world; the set of each world; that set again, transposed in chunks.
-        let of_worlds = worlds.saturating_mul(8 * (tiles + 1) + 8 * groups.div_ceil(64));
-        let transposed = worlds.div_ceil(CHUNK).saturating_mul(16 * groups);
-        let scaled_down = self.scaled_down.as_ref().map_or(0, |scaled_down| scaled_down.bytes());
-        let states = (of_worlds as u64).saturating_add(transposed as u64);
-        (self.shared.bytes() + scaled_down + (tiles * size_of::<Planes>()) as u64).saturating_add(states)
-    }
-
     /// Number of groups.
     pub fn groups(&self) -> usize {
         self.groups
@@ -93,18 +81,6 @@ impl Engine {
     pub(super) fn check(&self, states: &States) -> Result<(), CounterfactualError> {
         let (found, needed) = (states.groups(), self.groups);
         if found == needed { Ok(()) } else { Err(CounterfactualError::States { found, needed }) }
-    }
-
-    pub(super) fn check_world(&self, states: &States, world: usize) -> Result<(), CounterfactualError> {
-        self.check(states)?;
-        let count = states.len();
-        if world < count { Ok(()) } else { Err(CounterfactualError::World { world, count }) }
-    }
-
-    /// Changes every ellipse, as if the projection had given another.
-    #[cfg(all(test, feature = "gpu"))]
-    pub(crate) fn map_splats(&mut self, change: impl Fn(&Splat) -> Splat) {
-        self.shared.projected.splats.iter_mut().for_each(|splat| *splat = change(splat));
     }
 }
 
@@ -162,10 +138,5 @@ impl ScaledDown {
             },
             gain,
         }))
-    }
-
-    /// Bytes held.
-    fn bytes(&self) -> u64 {
-        self.engine.shared.bytes() + size_of_val(self.engine.reference.as_slice()) as u64
     }
 }

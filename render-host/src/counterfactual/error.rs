@@ -53,14 +53,6 @@ pub enum CounterfactualError {
         /// Its versions.
         count: usize,
     },
-    /// A world out of range.
-    #[error("world {world} of {count}")]
-    World {
-        /// The world asked for.
-        world: usize,
-        /// Number of worlds.
-        count: usize,
-    },
     /// Weights that are not one finite number per world.
     #[error("weights must be {needed} finite numbers")]
     Weights {

@@ -2,7 +2,7 @@
 
 use super::{
     adjoint::{self, blend_buffers, structure},
-    counterfactual, lists, renderer,
+    lists, renderer,
     source::Source,
     states, tiles,
 };
@@ -19,9 +19,6 @@ pub static ALL: &[&Source] = &[
     &tiles::RANK,
     &states::SHARED_LISTS,
     &states::COLUMN_SUMS,
-    &counterfactual::FAST,
-    &counterfactual::STRICT,
-    &counterfactual::UTILITIES,
     &blend_buffers::BLEND_BACK,
     &structure::FRAMEBUFFER,
     &structure::STRUCTURE,

@@ -96,10 +96,3 @@ impl TestScene {
         states
     }
 }
-
-/// Largest difference relative to `scale`; NaN counts as infinite.
-pub(super) fn worst(got: &[f64], expected: &[f64], scale: impl Fn(usize) -> f64) -> f64 {
-    assert_eq!(got.len(), expected.len());
-    let each = got.iter().zip(expected).enumerate().map(|(i, (a, b))| (a - b).abs() / scale(i));
-    each.fold(0.0, |most, e| if e.is_nan() { f64::INFINITY } else { e.max(most) })
-}

@@ -203,10 +203,3 @@ fn rounded(s: &stage::Splat, group: u32) -> Splat {
         group,
     }
 }
-
-/// `s` as if it had been read back from the device.
-#[cfg(test)]
-pub(super) fn through_f32(s: &stage::Splat) -> stage::Splat {
-    let there = rounded(s, 0);
-    stage::Splat { mean: there.centre(), root: there.root.map(f64::from), ..*s }
-}

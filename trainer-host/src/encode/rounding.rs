@@ -9,7 +9,7 @@
 
 use codec_core::internals::{
     ids::Level,
-    math::{mrp_from_quat, quat_from_mrp},
+    math::{mrp_from_quat, quat_from_mrp, quat_mul},
     quant::{Class, Quantiser, decorrelate, recorrelate},
     wire::manifest::Quant,
 };
@@ -145,7 +145,7 @@ impl Rounding {
 
     fn plain(&self, values: &CanonicalValues, turn: Quat, axes: [usize; 3]) -> [f32; PLAIN] {
         let mut out = [0.0; PLAIN];
-        let mrp = mrp_from_quat(product(values.rotation, turn));
+        let mrp = mrp_from_quat(quat_mul(values.rotation, turn));
         for d in 0..3 {
             out[d] = values.position[d] - self.origin[d];
             out[3 + d] = values.log_scale[axes[d]];
@@ -166,7 +166,7 @@ impl Rounding {
         let [w, x, y, z] = turn;
         let mut out = CanonicalValues {
             position: [0, 1, 2].map(|d| all[d] + self.origin[d]),
-            rotation: product(quat_from_mrp([all[6], all[7], all[8]]), [w, -x, -y, -z]),
+            rotation: quat_mul(quat_from_mrp([all[6], all[7], all[8]]), [w, -x, -y, -z]),
             log_scale: [0.0; 3],
             opacity: all[9].clamp(0.0, 1.0),
             sh0: [all[10], all[11], all[12]],
@@ -225,16 +225,6 @@ fn round(quantiser: &Quantiser, class: Class, values: &mut [f32]) {
     triples(quantiser, class, values, decorrelate);
     values.iter_mut().for_each(|v| *v = quantiser.index(*v) as f32 * step);
     triples(quantiser, class, values, recorrelate);
-}
-
-/// The turn by `b`, then by `a`.
-fn product(a: Quat, b: Quat) -> Quat {
-    [
-        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    ]
 }
 
 #[cfg(test)]

@@ -1,19 +1,10 @@
 //! Turns vectors by quaternions (wxyz) and takes gradients back through the turn.
 
-use glam::{Mat3, Vec3};
+use codec_core::internals::math::rows_from_quat;
+use glam::Mat3;
 
 /// A quaternion, wxyz.
 pub(super) type Quaternion = [f32; 4];
-
-/// The turn by `b`, then by `a`.
-pub(super) fn product(a: Quaternion, b: Quaternion) -> Quaternion {
-    [
-        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    ]
-}
 
 /// The turn the other way round.
 pub(super) fn conjugate(q: Quaternion) -> Quaternion {
@@ -26,12 +17,8 @@ pub(super) fn dot(a: Quaternion, b: Quaternion) -> f32 {
 }
 
 /// The matrix of a quaternion of length 1.
-pub(super) fn matrix([w, x, y, z]: Quaternion) -> Mat3 {
-    Mat3::from_cols(
-        Vec3::new(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
-        Vec3::new(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
-        Vec3::new(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
-    )
+pub(super) fn matrix(q: Quaternion) -> Mat3 {
+    Mat3::from_cols_array_2d(&rows_from_quat(q)).transpose()
 }
 
 /// Gradient with respect to the four numbers of [`matrix()`] from `gradient`, that of its nine.
@@ -51,6 +38,9 @@ pub(super) fn matrix_gradient([w, x, y, z]: Quaternion, gradient: &Mat3) -> Quat
 
 #[cfg(test)]
 mod tests {
+    use codec_core::internals::math::quat_mul;
+    use glam::Vec3;
+
     use super::*;
 
     #[test]
@@ -59,7 +49,7 @@ mod tests {
         let (a, b) = (unit([0.9, 0.1, -0.3, 0.2]), unit([0.4, -0.5, 0.2, 0.7]));
         let v = Vec3::new(0.3, -1.2, 0.7);
         let twice = matrix(a) * (matrix(b) * v);
-        assert!((matrix(product(a, b)) * v - twice).length() < 1e-6);
+        assert!((matrix(quat_mul(a, b)) * v - twice).length() < 1e-6);
         assert!((matrix(conjugate(a)) * (matrix(a) * v) - v).length() < 1e-6);
     }
 

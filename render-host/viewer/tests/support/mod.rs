@@ -19,13 +19,12 @@ const FOLDERS: [&str; 5] = [
     "render-host/viewer/src",
 ];
 /// Folders of them that the player does not reach, files that no browser compiles, and tests.
-const WITHOUT: [&str; 12] = [
+const WITHOUT: [&str; 11] = [
     "render-host/src/adjoint",
     "render-host/src/counterfactual",
     "render-host/src/metric",
     "render-host/src/sequence",
     "render-host/src/gpu/adjoint",
-    "render-host/src/gpu/counterfactual",
     "render-host/src/camera/blender",
     "render-host/src/camera/colmap",
     "codec-core/simd/src/kernel/",

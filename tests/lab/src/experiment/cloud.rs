@@ -2,7 +2,37 @@
 
 use anyhow::Result;
 use codec_core::Gaussian;
-use render_host::{Camera, Image, counterfactual::Lattice};
+use render_host::{Camera, Image, counterfactual::States};
+
+/// Groups laid out as `cluster · levels + level`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Lattice {
+    /// Number of clusters.
+    pub(crate) clusters: usize,
+    /// Levels of each cluster, 0 is the base.
+    pub(crate) levels: usize,
+}
+
+impl Lattice {
+    /// Number of groups.
+    pub(crate) fn groups(self) -> usize {
+        self.clusters * self.levels
+    }
+
+    /// Group of `level` of `cluster`.
+    pub(crate) fn group(self, cluster: usize, level: usize) -> usize {
+        cluster * self.levels + level
+    }
+
+    /// Adds a world to `states` in which each level adds Gaussians of its own: present is what was delivered
+    /// together with everything below it.
+    pub(crate) fn push(self, states: &mut States, delivered: impl Fn(usize, usize) -> bool) {
+        states.push(|group| {
+            let (cluster, level) = (group / self.levels, group % self.levels);
+            (0..=level).all(|below| delivered(cluster, below))
+        });
+    }
+}
 
 /// Clusters and additive levels of each scene: 128 groups.
 pub(super) const LATTICE: Lattice = Lattice { clusters: 64, levels: 2 };
@@ -105,4 +135,19 @@ pub(super) fn beside(picture: &Image) -> Result<Image> {
     let noisy = |(i, v): (usize, &f32)| v * 0.97 + 0.01 * ((i * 7919 % 101) as f32 / 101.0);
     let rgb = picture.rgb().iter().enumerate().map(noisy).collect();
     Ok(Image::new(picture.width(), picture.height(), rgb)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_level_needs_those_below() {
+        let lattice = Lattice { clusters: 3, levels: 3 };
+        // Cluster 0: nothing. Cluster 1: levels 0 and 1. Cluster 2: levels 0 and 2, so 2 is unusable.
+        let mut states = States::new(lattice.groups());
+        lattice.push(&mut states, |c, l| matches!((c, l), (1, 0 | 1) | (2, 0 | 2)));
+        assert_eq!((0..9).filter(|&g| states.has(0, g)).collect::<Vec<_>>(), [3, 4, 6]);
+        assert_eq!(lattice.group(2, 0), 6);
+    }
 }

@@ -4,7 +4,6 @@
 //! smaller worlds. Every part is one function over a [`Context`].
 
 mod context;
-mod counterfactual;
 mod forward;
 mod gradients;
 mod peer;
@@ -27,7 +26,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
          wgpu-3dgs-viewer (feature gpu-peer) with an 8-bit picture, interleaved on the same device. \
          worlds: three repetitions after five warm-ups, mean and Student-t 95 % interval; serial draws \
          every world alone; error: bits of a world in the batch that differ from the world drawn alone. \
-         counterfactual and gradients: scene A (64 cells) and B (64 shells), 128 groups, every step from \
+         gradients: scene A (64 cells) and B (64 shells), 128 groups, every step from \
          the camera to sums on the device in one submission, steps in a train without waiting; peers with \
          their set-up; gradients: of squared error, and (mse+ssim) of squared error + (1 - SSIM)",
     );
@@ -44,7 +43,6 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let context = Context { quick: setup.quick, is_cpu: facts.is_cpu, executor: Executor::new(&device) };
     forward::run(&context, &mut bench)?;
     worlds::run(&context, &mut bench)?;
-    counterfactual::run(&context, &mut bench)?;
     gradients::run(&context, &mut bench)?;
     Ok(bench)
 }

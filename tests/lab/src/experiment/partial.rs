@@ -4,10 +4,10 @@ use anyhow::Result;
 use codec_core::Gaussian;
 use render_host::{
     Camera, Image, Settings, Splats,
-    counterfactual::{Lattice, States, Variants, brute},
+    counterfactual::{States, Variants, brute},
 };
 
-use super::cloud::{Cloud, CloudShape, LATTICE, TestRng, beside, camera, cloud};
+use super::cloud::{Cloud, CloudShape, LATTICE, Lattice, TestRng, beside, camera, cloud};
 
 /// States that brute force renders per round; its time is scaled to all.
 pub(super) const STATES_ALONE: usize = 16;
@@ -74,7 +74,7 @@ pub(crate) fn deliveries_of(lattice: Lattice, worlds: usize) -> States {
             false => 1 + (r.unit() * lattice.levels as f32) as usize,
         };
         let depth: Vec<usize> = (0..lattice.clusters).map(|_| depth()).collect();
-        lattice.push_additive(&mut states, |cluster, level| level < depth[cluster]);
+        lattice.push(&mut states, |cluster, level| level < depth[cluster]);
     }
     states
 }

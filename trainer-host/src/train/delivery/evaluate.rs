@@ -111,7 +111,7 @@ pub(super) fn evaluate_coded(
         let errors = shared.squared_errors(camera, picture, &settings)?;
         worlds_db.iter_mut().zip(errors).for_each(|(sum, error)| *sum += share * psnr(error));
         let shared = SharedWorlds::new(moving, *frame, &prefixes)?;
-        let found = shared.measured(camera, picture, &settings, |image| distortion(image, picture, 0.20))?;
+        let found = shared.measured(camera, &settings, |image| distortion(image, picture, 0.20))?;
         of_prefixes.iter_mut().zip(found).for_each(|(sum, d)| *sum += share * d);
         let errors = shared.squared_errors(camera, picture, &settings)?;
         clean_db += share * errors.last().copied().map_or(0.0, psnr);

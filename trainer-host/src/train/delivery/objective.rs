@@ -119,9 +119,8 @@ pub(super) fn differentiate(
     let states = distinct.states;
     let settings = Settings { parallel: false, background: view.background, ..settings.clone() };
     let shared = SharedWorlds::new(moving, view.frame, &states)?;
-    let distortions = shared.measured(&view.camera, &view.picture, &settings, |image| {
-        distortion(image, &view.picture, weights.structure)
-    })?;
+    let distortions = shared
+        .measured(&view.camera, &settings, |image| distortion(image, &view.picture, weights.structure))?;
     drop(shared);
 
     let mut terms = Terms::default();

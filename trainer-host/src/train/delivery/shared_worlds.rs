@@ -6,7 +6,7 @@ use codec_core::{Gaussian, ShDegree};
 use rayon::prelude::*;
 use render_host::{
     Camera, Image, Settings, Splats,
-    counterfactual::{Engine, States, Variants},
+    counterfactual::{Engine, States, Variants, WorldBatch},
     metric,
 };
 
@@ -100,24 +100,23 @@ impl SharedWorlds {
         }
     }
 
-    /// `measure` of each world's picture, seen by `camera`, against `reference`; pictures are bit for bit
-    /// those of the worlds rendered alone.
+    /// `measure` of each world's picture, seen by `camera`; pictures are bit for bit those of the worlds
+    /// rendered alone.
     ///
     /// # Errors
-    /// Settings or a reference that the renderer refuses.
+    /// Settings that the renderer refuses, and what `measure` refuses.
     pub(super) fn measured<T: Send>(
         &self,
         camera: &Camera,
-        reference: &Image,
         settings: &Settings,
         measure: impl Fn(&Image) -> Result<T, DeliveryError> + Sync,
     ) -> Result<Vec<T>, DeliveryError> {
         let splats = Splats::new(&self.gaussians, &self.sh_rest, self.degree)?;
         let variants = Variants::new(splats, &self.groups, self.states.groups())?;
-        let engine = Engine::new(&variants, camera, reference, settings)?;
+        let batch = WorldBatch::new(&variants, camera, settings)?;
         let mut out = Vec::with_capacity(self.states.len());
         for first in (0..self.states.len()).step_by(AT_ONCE) {
-            let images = engine.images(&self.states.range(first..first + AT_ONCE))?;
+            let images = batch.images(&self.states.range(first..first + AT_ONCE))?;
             let measured: Result<Vec<T>, DeliveryError> = images.par_iter().map(&measure).collect();
             out.extend(measured?);
         }
@@ -127,7 +126,7 @@ impl SharedWorlds {
     /// Mean squared error of each world against `reference`.
     ///
     /// # Errors
-    /// As [`SharedWorlds::measured`].
+    /// As [`SharedWorlds::measured`], and a reference of another size.
     pub(super) fn squared_errors(
         &self,
         camera: &Camera,
@@ -194,8 +193,7 @@ mod tests {
                 let (frame, settings) = (1, Settings::default());
                 let (camera, reference) = (&references[1].camera, &references[1].picture);
                 let worlds = SharedWorlds::new(&moving, frame, &masks.states).unwrap();
-                let images =
-                    worlds.measured(camera, reference, &settings, |image| Ok(image.clone())).unwrap();
+                let images = worlds.measured(camera, &settings, |image| Ok(image.clone())).unwrap();
                 let errors = worlds.squared_errors(camera, reference, &settings).unwrap();
                 assert_eq!(images.len(), 11);
                 let mut player = coded.player();

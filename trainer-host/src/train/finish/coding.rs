@@ -3,6 +3,7 @@
 //! Rounding is passed straight through: pictures are of rounded values, and their gradients go to the values
 //! themselves (Bengio et al. 2013). What values cost is [`price`](super::price)'s.
 
+use codec_core::internals::math::quat_mul;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -11,7 +12,7 @@ use super::{
         gaussians::TrainedGaussians,
         model::Model,
         parameter::Parameter,
-        rotation::{Quaternion, conjugate, dot, matrix, product},
+        rotation::{Quaternion, conjugate, dot, matrix},
     },
     price::{self, Bits, Slopes},
 };
@@ -70,7 +71,7 @@ impl Coding {
                 opacity: g.opacity(index),
                 sh0: [sh0[0], sh0[1], sh0[2]],
             };
-            Start { values, turn: product(rotation, conjugate(rest.map(|v| v / length))), length }
+            Start { values, turn: quat_mul(rotation, conjugate(rest.map(|v| v / length))), length }
         };
         (0..g.len()).into_par_iter().with_min_len(CHUNK).map(start).collect()
     }
@@ -99,7 +100,7 @@ impl Coding {
             let moved = Vec3::from_array(rounded.position) - Vec3::from_array(values.position);
             let position = Vec3::from_slice(g.position.item(index)) + matrix(turn).transpose() * moved;
             out.position.item_mut(index).copy_from_slice(&position.to_array());
-            let rotation = product(conjugate(turn), unit(rounded.rotation)).map(|v| length * v);
+            let rotation = quat_mul(conjugate(turn), unit(rounded.rotation)).map(|v| length * v);
             out.rotation.item_mut(index).copy_from_slice(&rotation);
             out.log_scale.item_mut(index).copy_from_slice(&rounded.log_scale);
             let opacity = rounded.opacity.clamp(OPACITIES.0, OPACITIES.1);

@@ -3,6 +3,7 @@
 //! With weights `w = softmax(-|p - c|² / 2r² + logits)`: position `Σ w (R (p - c) + c + s)`, rotation
 //! `(Σ ± w q) q_own`, signs such that the turns do not cancel.
 
+use codec_core::internals::math::quat_mul;
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
@@ -10,7 +11,7 @@ use super::{
     FOLLOWED,
     layer::{NodeGradient, NodePose, signs},
 };
-use crate::train::rotation::{Quaternion, conjugate, dot, product};
+use crate::train::rotation::{Quaternion, conjugate, dot};
 
 /// Gaussians that one task sums over: fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 4096;
@@ -87,7 +88,7 @@ impl Skinned<'_> {
             position += weights[k] * pose.carry(rest.position);
             (0..4).for_each(|j| turn[j] += signs[k] * weights[k] * pose.turn[j]);
         }
-        Posed { position, rotation: product(turn, rest.rotation) }
+        Posed { position, rotation: quat_mul(turn, rest.rotation) }
     }
 
     /// Gradient with respect to the Gaussian at the canonical instant; adds to those of the nodes.
@@ -104,7 +105,7 @@ impl Skinned<'_> {
         let point = rest.position;
         let weights = self.weights(rest);
         let signs = signs(followed, self.poses);
-        let of_turn = product(gradient.rotation, conjugate(rest.rotation));
+        let of_turn = quat_mul(gradient.rotation, conjugate(rest.rotation));
         let (mut turn, mut position) = ([0.0; 4], Vec3::ZERO);
         let (mut of_weight, mut mean) = ([0.0; FOLLOWED], 0.0);
         for k in 0..FOLLOWED {
@@ -128,7 +129,7 @@ impl Skinned<'_> {
             let node = node as usize;
             position -= *slope * self.falloff[node] * (point - self.poses[node].place);
         }
-        SkinnedGradient { position, rotation: product(conjugate(turn), gradient.rotation), logits }
+        SkinnedGradient { position, rotation: quat_mul(conjugate(turn), gradient.rotation), logits }
     }
 
     /// Takes the gradients of many Gaussians back, in order: `one(index, nodes)` handles one of them and adds

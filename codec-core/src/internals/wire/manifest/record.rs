@@ -308,11 +308,6 @@ impl Motion {
             _ => 0,
         }) as usize
     }
-
-    /// True when nothing at all is sent for this cluster in this window.
-    pub fn is_static(&self) -> bool {
-        self.class() == Track::Static && Class::ALL.into_iter().all(|c| self.rank(c) == 0)
-    }
 }
 
 record! {

@@ -4,13 +4,13 @@
 use anyhow::Result;
 use render_host::{
     Settings,
-    counterfactual::{Engine, Lattice, States, brute},
+    counterfactual::{Engine, States, brute},
 };
 
 use crate::{
     experiment::{
         clock::seconds_of,
-        cloud::CloudShape,
+        cloud::{CloudShape, Lattice},
         partial::{Partial, STATES_ALONE, deliveries_of, spread},
     },
     figures::{Bench, Figure, median},

@@ -4,6 +4,8 @@
 //! Features are the product of six planes (xy, xz, xt, yz, yt, zt), sampled bilinearly; those of several
 //! resolutions follow each other. Three of the planes do not depend on time: their product is kept.
 
+use codec_core::internals::math::quat_mul;
+
 use super::{
     deformed::{Canonical, Deformed},
     layers::{Mlp, relu},
@@ -174,7 +176,7 @@ impl Planes {
         match &self.rotation {
             Some(head) if self.multiplies => {
                 let turn = head.apply(&hidden);
-                out.rotation = product(canonical.rotation, [turn[0], turn[1], turn[2], turn[3]]);
+                out.rotation = quat_mul(canonical.rotation, [turn[0], turn[1], turn[2], turn[3]]);
             }
             // The share of the canonical attributes does not concern rotations.
             Some(head) => {
@@ -282,14 +284,4 @@ impl Plane {
             *feature *= value;
         }
     }
-}
-
-/// The product of two quaternions.
-fn product(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
-    [
-        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    ]
 }
