@@ -49,6 +49,8 @@ pub struct SchedulerRun {
     pub delivery: Delivery,
     /// What kept the run from showing more: link, congestion control or deadline.
     pub limit: String,
+    /// Utility that no schedule passes over this link with the same start of playout; `None` if not computed.
+    pub utility_bound: Option<f64>,
     /// Image quality of what was shown, per frame.
     pub frames: Vec<Shown>,
     /// Mean PSNR over shown frames, dB; a frame that was never shown counts as the background.

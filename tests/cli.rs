@@ -170,6 +170,18 @@ fn a_stream_is_sent_over_a_described_link() {
     );
     assert!(text.contains(&said) && text.contains("; one way "), "{said}: {text}");
     assert!(delay["median"].as_f64() >= Some(35.0) && delay["p95"].as_f64() >= delay["median"].as_f64());
+    // What no schedule passes: less where the link carries less; not computed for another transport.
+    let bounded = |options: &[&str]| {
+        let json: serde_json::Value =
+            serde_json::from_str(&stream(&[options, &["--json"]].concat())).unwrap();
+        (json["report"]["utility"].as_f64().unwrap(), json["utility_bound"].as_f64())
+    };
+    let ((shown, most), (shown_slow, most_slow)) = (bounded(&lossy), bounded(&["--impair", "rate=60kbit"]));
+    let (most, most_slow) = (most.unwrap(), most_slow.unwrap());
+    assert!(shown <= most && most <= 1.0 + 1e-6 && shown_slow <= most_slow, "{most} {most_slow}");
+    assert!(most_slow < most - 0.1, "{most_slow} {most}");
+    assert!(text.contains(&format!("(at most {most:.3} by any schedule)")), "{text}");
+    assert_eq!(bounded(&["--impair", "rate=3mbit", "--transport", "quic"]).1, None);
     assert!(stopped(at, &["stream", "a.dgs", "--impair", "loss=1%", "--load", "2"], 64).contains("--load"));
     assert!(stream(&["--impair", "delay=5ms"]).contains("without a limit of rate, 5 ms one way, no loss"));
 

@@ -127,6 +127,7 @@ fn run(i: usize) -> SchedulerRun {
         name: NAMES[i].into(),
         delivery,
         limit: ["link", "congestion control"][i % 2].into(),
+        utility_bound: Some(0.97),
         frames,
         mean_psnr_db: 28.314 + 1.7 * rank,
         tail_psnr_db: 19.271 + 2.3 * rank,

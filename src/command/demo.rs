@@ -15,7 +15,7 @@ use trainer_host::{
 };
 
 use crate::{
-    args::Demo,
+    args::{Demo, TransportName},
     figures::{Machine, mean},
     files,
     output::VerbOutput,
@@ -109,6 +109,13 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
         .map(|&policy| pipeline::deliver(&stream, &map, &graph, &link.config, policy, args.link.transport))
         .collect();
 
+    let deliveries = deliveries?;
+    let is_model = args.link.transport == TransportName::Model;
+    let bounds: Vec<Option<f64>> = deliveries
+        .par_iter()
+        .map(|(report, _)| if is_model { link.best_possible(report, &graph) } else { None })
+        .collect();
+
     let progress = Progress::new("render", quiet.0);
     let (cameras, settings) = pipeline::view(&scene, &args.view, Ring::HeldOut, 3)?;
     let camera = &cameras[0];
@@ -136,7 +143,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     drop(complete);
 
     let mut runs = Vec::new();
-    for (i, (report, states)) in deliveries?.into_iter().enumerate() {
+    for (i, (report, states)) in deliveries.into_iter().enumerate() {
         progress.at((i + 1) as f64 / (POLICIES.len() + 1) as f64);
         let mut shown: Vec<(u32, Option<&[u8]>)> = frames.iter().map(|&f| (f, None)).collect();
         for state in &states {
@@ -177,6 +184,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
             flicker: metric::flicker(&images, &references)?,
             frames: rows,
             limit: link.limit(&report, &graph),
+            utility_bound: bounds[i],
             delivery: report,
         });
     }

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use trainer_host::{Stream, evaluator};
 
 use crate::{
-    args::StreamArgs,
+    args::{StreamArgs, TransportName},
     delivery::ShownState,
     figures::{mean, number},
     files,
@@ -51,8 +51,10 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         pipeline::delivered(&stream, &map, &graph, &config, policy, args.link.transport)?;
     let (lost, limit) = (Lost::of(&report), link.limit(&report, &graph));
     let mean_rate = link.mean_until(report.duration_ns);
+    let is_model = args.link.transport == TransportName::Model;
+    let best = if is_model { link.best_possible(&report, &graph) } else { None };
     let mut text = format!(
-        "{} over {}\n  startup {}, miss {:.1} % (base {:.1} %), utility {:.3}\n  \
+        "{} over {}\n  startup {}, miss {:.1} % (base {:.1} %), utility {:.3}{}\n  \
          limited by {limit}\n  \
          goodput {} kbit/s, usable {} kbit/s, wasted {:.1} KiB, {} of {} frames shown, {} recovered by \
          repair\n  lost {lost}{}{}\n",
@@ -62,6 +64,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         100.0 * report.miss_rate,
         100.0 * report.base_miss_rate,
         report.utility,
+        best.map_or(String::new(), |best| format!(" (at most {best:.3} by any schedule)")),
         number(report.goodput_bps / 1000.0),
         number(report.usable_goodput_bps / 1000.0),
         report.waste.total_bytes() as f64 / 1024.0,
@@ -79,6 +82,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         "link": link.description,
         "link_capacity_mean_bps": mean_rate.map(|rate| rate.0),
         "limit": limit,
+        "utility_bound": best,
         "lost_datagrams": { "queue": lost.queue, "way": lost.way },
         "one_way_delay_ms": report.one_way_delay.map(|[median, tail]| {
             json!({ "median": median.as_ms(), "p95": tail.as_ms() })

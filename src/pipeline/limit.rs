@@ -1,6 +1,6 @@
 //! Says what kept a run from showing more: the link, losses, congestion control, or the deadline.
 
-use emulator_host::{PacketGraph, Report, link::Capacity};
+use emulator_host::{Nanos, PacketGraph, Report, bound::upper_bound, link::Capacity};
 
 use super::link::Link;
 
@@ -14,6 +14,11 @@ const DATAGRAM_BYTES: u64 = 1200;
 const OPPORTUNITY_BYTES: u64 = 1500;
 /// Share of lost datagrams, or of packets that were never sent or came late, from which on they matter.
 const NOTABLE: f64 = 0.01;
+
+/// Packets up to which the best possible is computed: seconds of one core at most.
+const MAX_BOUND_PACKETS: usize = 4000;
+/// Steps of the solver; the bound holds after any number.
+const BOUND_STEPS: u32 = 300;
 
 /// Datagrams that the link lost on the way to the receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,6 +61,18 @@ fn is_queue(label: &str) -> bool {
 }
 
 impl Link {
+    /// A bound on [`Report::utility`] that no schedule passes over this link with playout that starts as it
+    /// did in `report`, a run of the model. `None` if playout never began, if the delay varies, or if `graph`
+    /// has too many packets for it.
+    pub fn best_possible(&self, report: &Report, graph: &PacketGraph) -> Option<f64> {
+        let path = &self.config.forward;
+        if graph.packets().len() > MAX_BOUND_PACKETS || path.delay_trace.is_some() {
+            return None;
+        }
+        let start = Nanos((report.startup_ms? * 1e6).round() as u64);
+        Some(upper_bound(graph, path, start, BOUND_STEPS).utility)
+    }
+
     /// What kept the run of `graph` that `report` tells of from showing more, in words.
     pub fn limit(&self, report: &Report, graph: &PacketGraph) -> String {
         limit(report, graph, &self.config.forward.capacity)

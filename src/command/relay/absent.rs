@@ -1,7 +1,9 @@
 //! Says that this build speaks to no relays.
 
 use anyhow::{Result, bail};
-use dgs_quic::socket::{ClientConfig, Locator, PlayError, PlayReport, Played, Screen, ServedStream, Trust};
+use dgs_quic::socket::{
+    ClientConfig, FrameSink, Locator, PlayError, PlayReport, Played, ServedStream, Trust,
+};
 
 use crate::{output::VerbOutput, pipeline::Quiet};
 
@@ -21,7 +23,7 @@ pub(in crate::command) fn publish(
 /// Refuses.
 pub(in crate::command) async fn play(
     _config: &ClientConfig,
-    _screen: &mut dyn Screen,
+    _screen: &mut dyn FrameSink,
     _stop: impl Future<Output = ()>,
 ) -> Played {
     let error = Some(PlayError::Relay(MISSING.to_owned()));
