@@ -313,6 +313,11 @@ pub struct StreamArgs {
     /// Save what arrived as a .dgs file. Without its manifest, complete, nothing is written.
     #[arg(short, long, value_name = "FILE")]
     pub out: Option<PathBuf>,
+    /// Save what had arrived when each frame was displayed, as JSON: a state per frame, of each block of
+    /// Gaussians the levels. `dgs train --delivery` learns from it, where its file names it as `recorded`.
+    /// Where no frame was displayed nothing is written.
+    #[arg(long, value_name = "FILE")]
+    pub states: Option<PathBuf>,
     /// The link.
     #[command(flatten)]
     pub link: LinkArgs,

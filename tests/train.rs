@@ -199,6 +199,12 @@ fn a_clip_that_becomes_another_is_trained_in_parts_and_goes_on_from_any() {
     let frames = &parts["epochs"]["frames"];
     assert_eq!(*frames, serde_json::json!([{"start": 0, "end": 6}, {"start": 6, "end": 12}]));
     assert_eq!(parts["steps"], 200, "steps are shared out");
+    for epoch in 0..2 {
+        let log = fs::read_to_string(at.join(format!("parts/epoch-{epoch}/log.csv"))).unwrap();
+        let gaussians =
+            log.lines().skip(1).map(|line| line.split(',').nth(3).unwrap().parse::<usize>().unwrap());
+        assert!(gaussians.max() <= Some(750), "so are Gaussians: {log}");
+    }
     let whole = json(births(&["-o", "whole", "--split", "0"]));
     assert!(whole["epochs"].is_null());
     assert!(decoded_db(&parts) > decoded_db(&whole) + 1.0, "{} {}", decoded_db(&parts), decoded_db(&whole));
@@ -337,4 +343,145 @@ fn utilities_need_photographs_that_are_there() {
     let error = String::from_utf8(output.stderr).unwrap();
     assert!(error.contains("--photographs: nowhere: no dataset"), "{error}");
     assert!(!folder.path().join("a.dgs").exists());
+}
+
+fn dgs(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_dgs")).current_dir(folder).args(args).output().unwrap()
+}
+
+/// Waits until `file` is there or the process has ended.
+#[cfg(unix)]
+fn wait_for(file: &Path, child: &mut std::process::Child) {
+    while !file.exists() && child.try_wait().unwrap().is_none() {
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// States that a lossy link left are what a scene is fine-tuned for; those of another stream are refused.
+#[test]
+fn states_that_a_stream_recorded_are_trained_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let made = |args: &[&str]| {
+        let output = dgs(at, args);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{args:?}: {error}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let stream = |input: &str, states: &str| {
+        made(&["stream", input, "--impair", "loss=20%,rate=1mbit,delay=40ms", "--states", states])
+    };
+    made(&["encode", SCENE, "-o", "a.dgs", "--pictures", "0"]);
+    made(&["encode", SCENE, "-o", "b.dgs", "--pictures", "0", "--block-len", "16"]);
+    assert!(stream("a.dgs", "a.json").contains("displayed frames → a.json"));
+    stream("b.dgs", "b.json");
+    let written = fs::read_to_string(at.join("a.json")).unwrap();
+    let recorded: serde_json::Value = serde_json::from_str(&written).unwrap();
+    assert_eq!(recorded["stream"].as_str().map(str::len), Some(16), "{recorded}");
+    assert!(recorded["states"][0]["frame"] == 0 && recorded["states"][0]["arrived"].is_string());
+
+    let config = |states: &str| {
+        let config = format!(
+            r#"{{"updates": 2, "worlds": 4, "warm_up": 0.0, "recorded": {states:?},
+            "validation": {{"every": 4, "states": 2, "candidates": 1}}}}"#
+        );
+        fs::write(at.join("config.json"), config).unwrap();
+    };
+    let args = ["-o", "out", "--overwrite", "--delivery", "config.json", "--references", "8"];
+    let worlds = || -> serde_json::Value {
+        ok(at, &args);
+        serde_json::from_slice(&fs::read(at.join("out/delivery.json")).unwrap()).unwrap()
+    };
+    config("a.json");
+    let with = worlds();
+    fs::write(
+        at.join("config.json"),
+        fs::read_to_string(at.join("config.json")).unwrap().replace(r#""a.json""#, "null"),
+    )
+    .unwrap();
+    assert_ne!(with["worlds"], worlds()["worlds"]);
+
+    let bad = |states: &str, named: &[&str]| {
+        config(states);
+        let error = refused(at, &args);
+        assert!(error.contains(states) && named.iter().all(|name| error.contains(name)), "{states}: {error}");
+    };
+    bad("b.json", &["stream is", "dgs stream --states"]);
+    fs::write(at.join("high.json"), written.replacen("0f", "1f", 1)).unwrap();
+    bad("high.json", &["--delivery: recorded", "00 to 0f is allowed"]);
+    fs::write(at.join("empty.json"), "").unwrap();
+    bad("empty.json", &["--delivery: recorded", "EOF"]);
+    bad("nowhere.json", &["--delivery: recorded"]);
+
+    // Where nothing is displayed there is nothing to learn from, and over the input nothing is written.
+    fs::write(at.join("dead.txt"), "0 0\n3000 1\n").unwrap();
+    let dead = ["stream", "a.dgs", "--trace", "dead.txt", "--states", "dead.json"];
+    let output = dgs(at, &dead);
+    assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("no frame was displayed: dead.json"));
+    assert!(!at.join("dead.json").exists());
+    let output = dgs(at, &["stream", "a.dgs", "--states", "a.dgs"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("--states: a.dgs"));
+}
+
+/// Interrupted and resumed, a fine-tuning gives the bytes of one that was not interrupted.
+#[cfg(unix)]
+#[test]
+fn an_interrupted_fine_tuning_goes_on_to_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let config = r#"{"updates": 60, "worlds": 2, "validation": {"every": 4, "states": 2, "candidates": 2}}"#;
+    fs::write(at.join("config.json"), config).unwrap();
+    fs::write(at.join("other.json"), config.replace("60", "61")).unwrap();
+    let args = |out: &'static str, more: &'static str| {
+        ["-o", out, "--delivery", "config.json", "--references", "8", more].map(str::to_owned)
+    };
+    let run = |out, more| {
+        let args = args(out, more);
+        ok(at, &args.iter().map(String::as_str).filter(|arg| !arg.is_empty()).collect::<Vec<_>>())
+    };
+    run("whole", "");
+    let mut child = command(at, &["-o", "parts", "--delivery", "config.json", "--references", "8"])
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    wait_for(&at.join("parts/delivery.dgst"), &mut child);
+    // Two trainings do not write into one folder.
+    let error = refused(at, &["-o", "parts", "--overwrite"]);
+    assert!(error.contains("parts: another dgs train is at work in it"), "{error}");
+    let _ = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(2), "done, but not all of it");
+    let error = refused(at, &["-o", "parts", "--delivery", "other.json", "--references", "8", "--resume"]);
+    assert!(error.contains("delivery.dgst") && error.contains("the configuration"), "{error}");
+    run("parts", "--resume");
+    let written = |out: &str, file: &str| fs::read(at.join(out).join(file)).unwrap();
+    assert!(written("whole", "scene.dgs") == written("parts", "scene.dgs"));
+    let record = |out: &str| {
+        String::from_utf8(written(out, "delivery.json")).unwrap().replace(&format!("{out}/registration"), "")
+    };
+    assert_eq!(record("whole"), record("parts"));
+    let bytes = fs::read(at.join("parts/delivery.dgst")).unwrap();
+    fs::write(at.join("parts/delivery.dgst"), &bytes[..bytes.len() - 1]).unwrap();
+    let error = refused(at, &["-o", "parts", "--delivery", "config.json", "--references", "8", "--resume"]);
+    assert!(error.contains("delivery.dgst") && error.contains("checksum"), "{error}");
+}
+
+/// A log that is damaged keeps nothing from going on, and a scene that was trained is not overwritten by a
+/// fine-tuning of what it was trained from.
+#[test]
+fn a_damaged_log_is_put_aside_and_a_trained_scene_is_not_fine_tuned_from_its_source() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["-o", "out"]);
+    let stream = fs::read(at.join("out/scene.dgs")).unwrap();
+    fs::write(at.join("out/log.csv"), "of,another\n1,2\n").unwrap();
+    let output = train(at, &["-o", "out", "--resume"]);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && error.contains("log.csv: line 1 is not"), "{error}");
+    assert!(fs::read(at.join("out/scene.dgs")).unwrap() == stream);
+    assert_eq!(fs::read_to_string(at.join("out/log.csv.damaged")).unwrap(), "of,another\n1,2\n");
+    let error = refused(at, &["-o", "out", "--resume", "--delivery", "iid"]);
+    assert!(error.contains("--delivery: fine-tunes synth:balls:1000:3 as it is"), "{error}");
+    assert!(fs::read(at.join("out/scene.dgs")).unwrap() == stream);
 }

@@ -3,9 +3,9 @@
 //! A [`PacketGraph`] that exists is consistent: every index is in range, packets and groups name each other,
 //! nothing needs itself, and every repair set has parity. So nothing that walks it has an error path.
 //!
-//! Closure, in the two profiles (paper, "Selective recovery and receiver closure"): -
-//! [`ClosureRule::AllOrNothing`]: a group is usable when *all* its packets have arrived and all groups it
-//! needs are usable; a packet is usable when a group that it carries is.
+//! Closure, in the two profiles (paper, "Selective recovery and receiver closure"):
+//! - [`ClosureRule::AllOrNothing`]: a group is usable when *all* its packets have arrived and all groups it
+//!   needs are usable; a packet is usable when a group that it carries is.
 //! - [`ClosureRule::Sliced`]: a packet is usable when it and, recursively, its [`Packet::needs_packets`] have
 //!   arrived; a group is usable (complete) when all its packets have arrived and the groups it needs are
 //!   usable, and earns utility by usable bytes before. (A packet may carry slices of several groups, so it

@@ -35,8 +35,9 @@ pub struct Train {
         allow_negative_numbers = true
     )]
     pub minutes: Option<f64>,
-    /// Go on from the checkpoint in --out; options of the training are those it was made with, and others
-    /// are refused. Those of the encoder and of a scene's renders (--cameras, --side) are typed as before.
+    /// Go on from the checkpoint in --out, bit for bit; options of the training are those it was made with,
+    /// and others are refused. --delivery, which goes on from delivery.dgst, and options of the encoder and
+    /// of a scene's renders (--cameras, --side) are typed as before.
     #[arg(long)]
     pub resume: bool,
     /// Replace the training in --out: what it has written is removed.
@@ -45,7 +46,7 @@ pub struct Train {
     /// Options of the training as JSON: any of those that report.html lists. What is typed besides wins.
     #[arg(long, value_name = "FILE")]
     pub options: Option<PathBuf>,
-    /// Most Gaussians [default: 26000].
+    /// Most Gaussians, of all epochs together [default: 26000].
     #[arg(long, value_parser = whole::<usize>(1..=5_000_000, "Gaussians"))]
     pub gaussians: Option<usize>,
     /// Control nodes that carry the motion [default: 512]; 0: nothing moves.
@@ -55,7 +56,8 @@ pub struct Train {
     #[arg(long, value_parser = clap::value_parser!(u8).range(0..=3))]
     pub sh_degree: Option<u8>,
     /// Longest side of the photographs that are trained on, pixels: larger ones are halved, or more, and cut
-    /// by a few pixels where that does not divide them [default: 800].
+    /// by a few pixels where that does not divide them; --delivery compares with no larger ones [default:
+    /// 800].
     #[arg(long, value_parser = whole::<u32>(16..=16_384, "pixels"))]
     pub max_side: Option<u32>,
     /// Background that figures are for, 0 to 1 per channel: grey level, r,g,b or #rrggbb [default: 1; of
@@ -77,7 +79,7 @@ pub struct Train {
     /// another device; bit for bit it goes on only on its own.
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
     pub device: DeviceName,
-    /// Steps between checkpoints.
+    /// Steps between checkpoints; of --delivery updates, at most 20.
     #[arg(long, default_value_t = 2000, value_parser = whole::<u32>(1..=10_000_000, "steps"))]
     pub checkpoint_every: u32,
     /// Times that quality is measured during training: 0 to 1000.
@@ -85,7 +87,9 @@ pub struct Train {
     pub evaluations: u32,
     /// Fine-tune for what delivery leaves: reconstruction, iid, burst-cvar, mixed, or a JSON file of
     /// options. A dataset is trained first; a scene is taken as it is and compared with its own renders.
-    /// Also writes registration.json (what was fixed before) and delivery.json (what came of it).
+    /// Also writes registration.json (what was fixed before), delivery.json (what came of it) and
+    /// delivery.dgst (to resume). `recorded` in the file of options names states of a real delivery, which
+    /// `dgs stream --states` writes: every other world of mixed is one of them.
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
     /// Largest loss of PSNR by encoding, dB.

@@ -2,17 +2,17 @@
 
 use std::path::Path;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
 use emulator_host::{Report, SessionConfig};
 use render_host::metric;
 use serde_json::{Value, json};
-use trainer_host::{Stream, evaluator};
+use trainer_host::{Stream, evaluator, train::delivery::Recording};
 
 use crate::{
     args::{StreamArgs, TransportName},
     delivery::ShownState,
-    figures::{mean, number},
+    figures::{counted, mean, number},
     files,
     output::VerbOutput,
     pipeline::{self, Delivered, Frames, Lost, Quiet, Sendable, Watching},
@@ -22,6 +22,11 @@ use crate::{
 pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     if let Some(out) = &args.out {
         files::check_stream(out, &[args.input.as_ref()])?;
+    }
+    if let Some(states) = &args.states {
+        files::check(states).context("--states")?;
+        let others: Vec<&Path> = std::iter::once(Path::new(&args.input)).chain(args.out.as_deref()).collect();
+        files::check_apart(states, &others).context("--states")?;
     }
     if args.no_pose && !args.cameras.is_typed() {
         bail!("--no-pose is for a viewer; --eye, --turntable or --cameras gives one");
@@ -103,7 +108,11 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     if let Some(out) = &args.out {
         text += &saved(out, &stream, arrived.as_deref(), &mut json)?;
     }
-    let is_partial = damaged || (args.out.is_some() && arrived.is_none());
+    let mut is_partial = damaged || (args.out.is_some() && arrived.is_none());
+    if let Some(path) = &args.states {
+        is_partial |= shown.is_empty();
+        text += &recorded(path, &stream, shown, &mut json)?;
+    }
     Ok(VerbOutput { text, json, warnings, damaged: is_partial })
 }
 
@@ -128,6 +137,19 @@ fn saved(out: &Path, stream: &Stream, arrived: Option<&[bool]>, json: &mut Value
     json["out"] = json!(files::shown(out));
     json["arrived_packets"] = json!(count);
     Ok(format!("what arrived, {count} of {} packets → {}\n", arrived.len(), out.display()))
+}
+
+/// Writes the states that frames of `stream` were displayed in to `path`, if any was; says so.
+fn recorded(path: &Path, stream: &Stream, shown: Vec<ShownState>, json: &mut Value) -> Result<String> {
+    json["recorded_states"] = json!(shown.len());
+    if shown.is_empty() {
+        json["states"] = Value::Null;
+        return Ok(format!("no frame was displayed: {} is not written\n", path.display()));
+    }
+    let recording = Recording::of(stream, shown.into_iter().map(|shown| (shown.frame, shown.state)))?;
+    files::write(path, recording.to_json().as_bytes())?;
+    json["states"] = json!(files::shown(path));
+    Ok(format!("states of {} → {}\n", counted(recording.count(), "displayed frame"), path.display()))
 }
 
 /// The viewer that is typed.

@@ -104,7 +104,15 @@ fn train(
     }
     let network = args.lpips.as_deref().map(lpips).transpose()?;
     delivery.map(|options| delivery::check(args, dataset, options)).transpose().context("--delivery")?;
-    folder.open(args)?;
+    if scene.is_some() && delivery.is_some() && args.resume && !folder.tuning.is_file() {
+        bail!(
+            "--delivery: fine-tunes {} as it is, not what {} holds of its training; the checkpoint of that \
+             is a scene to fine-tune, into another --out",
+            args.input,
+            args.out.display()
+        );
+    }
+    let _lock = folder.open(args)?;
     let stop = Interruption::watch();
     if let (Some(scene), Some(options)) = (scene, delivery) {
         return delivery::run(args, &folder, scene, dataset, options, &stop, quiet);
@@ -125,9 +133,12 @@ fn train(
         output.json["checkpoint"] = plan.checkpoints(args).iter().map(|path| files::shown(path)).collect();
         output
     } else {
+        if args.resume && resumed.is_none() {
+            bail!("{}: no such checkpoint; train without --resume first", folder.checkpoint.display());
+        }
         let (mut trainer, begun) = begin(args, &folder, resumed, dataset, backend)?;
         check_length(args, &trainer, begun)?;
-        let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
+        let mut log = if args.resume { Log::resumed(&folder.log, trainer.steps())? } else { Log::default() };
         log.notes.extend_from_slice(&input.notes);
         let ended = fit(args, &folder, dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
         let trained = Trained::of(&trainer, dataset, args)?;
@@ -234,7 +245,7 @@ fn finish(
     let mut tuning = None;
     let written = match delivery.filter(|_| !ended.interrupted) {
         Some(options) => {
-            let references = (dataset, trained.options.background);
+            let references = (dataset, trained.options.background, trained.options.max_side);
             let (encoded, record) =
                 delivery::fine_tuned(args, folder, &trained.scene, references, options, stop, quiet)?;
             ended.interrupted |= record.objective.len() < options.updates;

@@ -172,6 +172,8 @@ fn placed(typed: &CameraArgs, size: (u32, u32), around: &mut Surroundings<'_>) -
             CameraError::Direction(CameraError::ALONG_UP) => looking(across),
             error => Err(error),
         });
+        let away = (0..3).map(|d| (eye[d] - target[d]).powi(2)).sum::<f64>().sqrt();
+        let camera = camera.and_then(|camera| camera.with_near(Framing::near_at(away)));
         let camera = camera.context("--eye, --target, --up")?;
         let description = format!("1 camera at {eye:?}, up {}", around.up);
         return Ok(Some(Viewpoints { views: unnamed(vec![camera]), description, showing: Showing::Clip }));

@@ -25,6 +25,7 @@ mod moving_region;
 mod options;
 mod parameter;
 mod photographs;
+mod pixel_mask;
 mod rotation;
 mod schedule;
 mod start;
@@ -42,6 +43,7 @@ pub use evaluation::{
 pub use finish::{Encoding, Pruning};
 pub use model::Model;
 pub use options::{DensityControl, Finish, OptionsError, Rates, Schedule, TrainOptions};
+pub use pixel_mask::PixelMask;
 pub use step_report::{Stage, StepReport};
 pub use trainer::Trainer;
 pub use trim::Trimmed;

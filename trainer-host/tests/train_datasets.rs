@@ -114,6 +114,84 @@ fn one_file_of_transforms_is_parted_and_images_are_found() {
     assert!(refusal(folder.path()).contains("no focal length"), "{}", refusal(folder.path()));
 }
 
+/// A file of transforms of Nerfstudio with four frames, `more` before them, and `of_frame` in the second.
+fn nerfstudio(more: &str, of_frame: &str) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let frames: Vec<String> = (0..4)
+        .map(|k| {
+            image::RgbImage::new(16, 12).save(folder.path().join(format!("r_{k}.png"))).unwrap();
+            let text = frame(&format!("./r_{k}.png"), f64::from(k) / 3.0, MATRIX);
+            if k == 1 { text.replacen('{', &format!("{{{of_frame}"), 1) } else { text }
+        })
+        .collect();
+    let text = format!("{{\"fl_x\": 20, \"w\": 16, \"h\": 12, {more} \"frames\": [{}]}}", frames.join(","));
+    fs::write(folder.path().join("transforms.json"), text).unwrap();
+    folder
+}
+
+#[test]
+fn lists_of_a_file_of_transforms_say_what_frames_are_for() {
+    let lists = |more: &str| nerfstudio(more, "");
+    let read = |more: &str| dataset::read(lists(more).path()).unwrap();
+    let found = read(
+        r#""train_filenames": ["r_3.png", "./r_0.png"],
+        "val_filenames": ["r_2.png"], "test_filenames": ["r_2.png"],"#,
+    );
+    let names = |views: &[trainer_host::train::PosedPhotograph]| -> Vec<String> {
+        views.iter().map(|view| view.name.clone()).collect()
+    };
+    assert_eq!(names(found.train.photographs()), ["./r_0.png", "./r_3.png"]);
+    assert_eq!(names(found.validation.photographs()), ["./r_2.png"]);
+    assert_eq!(names(found.test.photographs()), ["./r_2.png"]);
+    assert_eq!(read("").train.photographs().len(), 4, "without lists all but every eighth");
+    for (more, named) in [
+        (r#""train_filenames": ["r_9.png"],"#, "train_filenames is r_9.png"),
+        (r#""test_filenames": ["r_1.png"],"#, "train_filenames is empty"),
+        (r#""train_filenames": ["r_1.png"], "val_filenames": ["./r_1.png"],"#, "val_filenames is ./r_1.png"),
+        (r#""train_filenames": "r_1.png","#, "JSON is"),
+    ] {
+        let text = refusal(lists(more).path());
+        assert!(text.contains("transforms.json: ") && text.contains(named), "{more}: {text}");
+    }
+}
+
+#[test]
+fn masks_of_frames_say_which_pixels_count() {
+    let folder = nerfstudio("", r#""mask_path": "mask.png", "#);
+    let mask = folder.path().join("mask.png");
+    let mut image = image::GrayImage::new(16, 12);
+    image.put_pixel(3, 2, image::Luma([255]));
+    image.save(&mask).unwrap();
+    let read = dataset::read(folder.path()).unwrap();
+    let masks: Vec<_> = read.train.photographs().iter().map(|view| view.counted.as_ref()).collect();
+    assert!(masks[0].is_none() && masks[1].unwrap().at(3, 2) && !masks[1].unwrap().at(4, 2));
+    image::GrayImage::new(8, 6).save(&mask).unwrap();
+    let text = refusal(folder.path());
+    assert!(text.contains("transforms.json: mask_path of ./r_1.png is an image of 8 x 6"), "{text}");
+    fs::remove_file(&mask).unwrap();
+    assert!(refusal(folder.path()).contains("mask.png"), "{}", refusal(folder.path()));
+}
+
+/// Units are any: cameras of a scene a thousand times smaller see it too.
+#[test]
+fn near_planes_follow_scenes_that_are_small_in_their_units() {
+    let near = |distance: f64| {
+        let folder = folder();
+        let matrix = |x: f64, z: f64, turned: bool| {
+            let rows = if turned { ["0,0,1", "0,1,0", "-1,0,0"] } else { ["1,0,0", "0,1,0", "0,0,1"] };
+            format!("[[{},{x}],[{},0],[{},{z}],[0,0,0,1]]", rows[0], rows[1], rows[2])
+        };
+        let frames = [
+            frame("./train/r_0", 0.0, &matrix(0.0, distance, false)),
+            frame("./train/r_1", 1.0, &matrix(distance, 0.0, true)),
+        ];
+        write_split(folder.path(), "train", &frames);
+        dataset::read(folder.path()).unwrap().train.photographs()[1].camera.near()
+    };
+    assert_eq!(near(4.0), 0.01, "as it is");
+    assert!(near(0.004) < 0.0004, "{}", near(0.004));
+}
+
 #[test]
 fn a_panoptic_dataset_is_read_camera_by_camera_and_refused_by_frame() {
     let folder = tempfile::tempdir().unwrap();
@@ -133,6 +211,21 @@ fn a_panoptic_dataset_is_read_camera_by_camera_and_refused_by_frame() {
     let read = dataset::read(folder.path()).unwrap();
     assert_eq!((read.train.photographs().len(), read.frames, read.has_alpha), (2, 2, false));
     assert_eq!(read.train.photographs()[1].time, 1.0);
+    assert!(read.train.photographs()[0].foreground.is_none(), "no masks");
+    fs::create_dir_all(folder.path().join("seg/4")).unwrap();
+    let text = refusal(folder.path());
+    assert!(text.contains("seg/4/0.png"), "a camera has masks of all its images: {text}");
+    for k in 0..2 {
+        let mut mask = image::GrayImage::new(16, 12);
+        mask.put_pixel(3 + k, 2, image::Luma([255]));
+        mask.save(folder.path().join(format!("seg/4/{k}.png"))).unwrap();
+    }
+    let read = dataset::read(folder.path()).unwrap();
+    let mask = read.train.photographs()[1].foreground.as_ref().unwrap();
+    assert!(mask.at(4, 2) && !mask.at(3, 2));
+    image::GrayImage::new(8, 12).save(folder.path().join("seg/4/1.png")).unwrap();
+    let text = refusal(folder.path());
+    assert!(text.contains("seg/4/1.png: size is 8 x 12; that of its image"), "{text}");
     write("[]");
     let text = refusal(folder.path());
     assert!(text.contains("k and w2c of frame 0 is 0 and 1 cameras"), "{text}");
@@ -156,4 +249,7 @@ fn real_datasets_are_read() {
     assert_eq!((steak.train.photographs().len(), steak.test.photographs().len(), steak.frames), (18, 3, 1));
     let basketball = read("panoptic-basketball");
     assert_eq!((basketball.train.photographs().len(), basketball.test.photographs().len()), (540, 80));
+    assert!(basketball.train.photographs().iter().all(|view| view.foreground.is_some()));
+    assert!(basketball.test.photographs().iter().all(|view| view.foreground.is_none()), "it has none");
+    assert_eq!(lego.train.photographs()[0].camera.near(), 0.01, "as it is");
 }

@@ -1,6 +1,6 @@
 //! Fine-tunes a scene for what delivery leaves of it: `dgs train --delivery`.
 
-use std::ops::ControlFlow;
+use std::{cell::RefCell, ops::ControlFlow};
 
 use anyhow::{Context, Result, bail};
 use serde_json::json;
@@ -9,7 +9,7 @@ use trainer_host::{
     encode::{Encoded, Protection, write},
     train::{
         self, Dataset,
-        delivery::{DeliveryOptions, Record, Reference, fine_tune},
+        delivery::{DeliveryError, DeliveryOptions, Record, Recording, Reference, Tuning, resume},
     },
 };
 
@@ -18,6 +18,7 @@ use super::{
     figures::{decoded, figure},
     folder::Folder,
     interruption::Interruption,
+    training::options as typed,
 };
 use crate::{
     args::train::Train,
@@ -27,14 +28,17 @@ use crate::{
     progress::Progress,
 };
 
+/// Most updates between two checkpoints: each takes as long as many steps of a training.
+const CHECKPOINT_EVERY: usize = 20;
 /// Background of the pictures of a scene where nothing is said.
 const BACKGROUND: [f32; 3] = [0.0; 3];
 
 /// Refuses before the training what would end it afterwards.
 pub(super) fn check(args: &Train, dataset: &Dataset, options: &DeliveryOptions) -> Result<()> {
-    if let Some(path) = options.recorded.as_deref().filter(|path| !path.is_file()) {
-        bail!("recorded: {}: no such file", path.display());
+    if dataset.train.photographs().iter().any(|view| view.counted.is_some()) {
+        bail!("{}: has masks (mask_path), which fine-tuning does not heed: not allowed", dataset.name);
     }
+    options.recorded.as_deref().map(Recording::read).transpose().context("recorded")?;
     let found = dataset.train.photographs().len().min(args.references);
     let needed = if options.validation.candidates == 0 { 1 } else { options.validation.every };
     if found < needed {
@@ -71,7 +75,8 @@ pub(super) fn run(
 ) -> Result<VerbOutput> {
     let background = args.background.unwrap_or(BACKGROUND);
     let plain = encoded(args, scene, stop, "nothing was written", quiet)?;
-    let (tuned, record) = fine_tuned(args, folder, scene, (dataset, background), options, stop, quiet)?;
+    let pictures = (dataset, background, typed(args)?.max_side);
+    let (tuned, record) = fine_tuned(args, folder, scene, pictures, options, stop, quiet)?;
     let updates = record.objective.len();
     let interrupted = updates < options.updates;
     let bytes = tuned.stream.to_bytes()?;
@@ -81,7 +86,7 @@ pub(super) fn run(
     let text = format!(
         "{}: fine-tuned for delivery{}\n{}{}{}  {} bytes, in {}\n",
         args.input,
-        if interrupted { ", interrupted" } else { "" },
+        if interrupted { ", interrupted: --resume goes on" } else { "" },
         outcome(&record, options),
         figure("held-out views, all packets, before", &before),
         figure("held-out views, all packets, fine-tuned", &after),
@@ -111,13 +116,13 @@ pub(super) fn run(
     Ok(VerbOutput { text, json, damaged: interrupted, ..VerbOutput::default() })
 }
 
-/// The stream of `scene`, fine-tuned towards training views over a background until a person asks to stop;
-/// and how many updates were made.
+/// The stream of `scene`, fine-tuned towards training views over a background, no side longer than the third
+/// says, until a person asks to stop; and how many updates were made.
 pub(super) fn fine_tuned(
     args: &Train,
     folder: &Folder,
     scene: &Scene,
-    (dataset, background): (&Dataset, [f32; 3]),
+    (dataset, background, max_side): (&Dataset, [f32; 3], u32),
     options: &DeliveryOptions,
     stop: &Interruption,
     quiet: Quiet,
@@ -128,13 +133,32 @@ pub(super) fn fine_tuned(
         encode: pipeline::encode_options(&args.codec, Protection::NONE),
         ..options.clone()
     };
-    let references = references(dataset, scene.frames(), args.references, background)?;
+    let references = references(dataset, scene.frames(), (args.references, max_side), background)?;
+    let begun = begun(args, folder)?;
+    let every = CHECKPOINT_EVERY.min(args.checkpoint_every as usize);
+    let unsaved = RefCell::new(None);
     let bar = Progress::new("fine-tune for delivery", quiet.0);
-    let tuned = fine_tune(scene, &references, &options, &|update| {
+    let tuned = resume(scene, &references, &options, begun, &|update, tuning| {
         bar.at(update.updates as f64 / update.of.max(1) as f64);
-        if stop.take() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    })?;
+        let interrupted = stop.take();
+        let is_due = interrupted || update.updates == update.of || update.updates.is_multiple_of(every);
+        if is_due && let Err(error) = save(folder, tuning) {
+            unsaved.replace(Some(error));
+            return ControlFlow::Break(());
+        }
+        if interrupted { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
     drop(bar);
+    if let Some(error) = unsaved.into_inner() {
+        return Err(error);
+    }
+    let tuned = tuned.map_err(|error| match error {
+        DeliveryError::Resumed { .. } => {
+            let path = folder.tuning.display();
+            anyhow::Error::from(error).context(format!("{path}: without this file it begins anew"))
+        }
+        error => error.into(),
+    })?;
     files::write(&folder.delivery, serde_json::to_string_pretty(&tuned.record)?.as_bytes())?;
     let progress = |_: &'static str, _: f64| {
         stop.leave("delivery.json is whole; the stream is not there");
@@ -142,6 +166,20 @@ pub(super) fn fine_tuned(
     };
     let stream = write(&tuned.scene, &tuned.decisions, &progress)?;
     Ok((stream, tuned.record))
+}
+
+fn save(folder: &Folder, tuning: &Tuning) -> Result<()> {
+    files::write(&folder.tuning, &tuning.to_bytes()?)
+}
+
+/// The fine-tuning to go on with, if there is one.
+fn begun(args: &Train, folder: &Folder) -> Result<Option<Tuning>> {
+    let path = &folder.tuning;
+    if !args.resume || !path.is_file() {
+        return Ok(None);
+    }
+    let failed = || path.display().to_string();
+    Ok(Some(Tuning::from_bytes(&std::fs::read(path).with_context(failed)?).with_context(failed)?))
 }
 
 /// What came of it, for people: which updates were taken, and what that gives where packets are lost.
@@ -171,17 +209,23 @@ pub(super) fn outcome(record: &Record, options: &DeliveryOptions) -> String {
     text
 }
 
-/// Up to `count` training views as pictures of frames over `background`, evenly spread.
+/// Up to `count` training views as pictures of frames over `background`, evenly spread; no side of them is
+/// longer than `max_side` pixels.
 fn references(
     dataset: &Dataset,
     frames: usize,
-    count: usize,
+    (count, max_side): (usize, u32),
     background: [f32; 3],
 ) -> Result<Vec<Reference>> {
     let views = dataset.train.sample(count);
     let last = frames.saturating_sub(1) as f64;
     let reference = |view: &train::PosedPhotograph| {
-        let by = (view.camera.width().min(view.camera.height()) / 400).max(1);
+        let (shortest, longest) = {
+            let (width, height) = (view.camera.width(), view.camera.height());
+            (width.min(height), width.max(height))
+        };
+        // By a whole number, as photographs are reduced; one that leaves something of the shorter side.
+        let by = (shortest / 400).max(longest.div_ceil(max_side)).clamp(1, shortest);
         let (width, height) = (view.camera.width() / by, view.camera.height() / by);
         let picture = view.photograph.over(background).resized_box(width, height)?;
         let camera = view.camera.resized(width, height).context("--references")?;

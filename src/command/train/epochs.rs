@@ -127,12 +127,13 @@ impl Plan {
         let mut whole: Option<(Trained, Log)> = None;
         for (index, frames) in self.parts.frames.iter().enumerate() {
             let out = epoch_folder(&args.out, index);
-            let (args, folder) = (self.args_of(args, &out, frames.len(), dataset.frames), Folder::of(&out));
-            folder.open(&args)?;
+            let (args, folder) = (self.args_of(args, &out, frames.len(), dataset.frames)?, Folder::of(&out));
+            let _lock = folder.open(&args)?;
             let part = rendered::part(dataset, scene, frames.clone());
             let resumed = resumed(&args, &folder)?;
             let (mut trainer, begun) = begin(&args, &folder, resumed, &part, &backend)?;
-            let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
+            let mut log =
+                if args.resume { Log::resumed(&folder.log, trainer.steps())? } else { Log::default() };
             let ended = fit(&args, &folder, &part, &mut trainer, begun, &mut log, stop, quiet)?;
             if ended.interrupted {
                 return Ok(None);
@@ -156,15 +157,18 @@ impl Plan {
     }
 
     /// What the training of a part of `frames` frames is asked for.
-    fn args_of(&self, args: &Train, out: &Path, frames: usize, all: usize) -> Train {
+    fn args_of(&self, args: &Train, out: &Path, frames: usize, all: usize) -> Result<Train> {
         let share = frames as f64 / all.max(1) as f64;
+        // The bound is that of all parts together, as it was in the trials.
+        let gaussians = (options(args)?.max_gaussians as f64 * share) as usize;
         let mut args = args.clone();
+        args.gaussians = Some(gaussians.max(1));
         let steps = f64::from(args.steps.unwrap_or(self.steps));
         args.steps = args.minutes.is_none().then_some(((steps * share).round() as u32).max(1));
         args.minutes = args.minutes.map(|minutes| minutes * share);
         args.codec.target_bytes = args.codec.target_bytes.map(|bytes| (bytes as f64 * share) as u64);
         args.resume &= Folder::of(out).checkpoint.is_file();
         out.clone_into(&mut args.out);
-        args
+        Ok(args)
     }
 }

@@ -1,6 +1,9 @@
 //! Names the files of a training, and opens the folder they are in.
 
-use std::path::{Path, PathBuf};
+use std::{
+    fs::{File, TryLockError},
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, Result, bail};
 
@@ -19,6 +22,8 @@ pub(super) struct Folder {
     pub(super) report: PathBuf,
     /// What was fixed before fine-tuning for delivery.
     pub(super) registration: PathBuf,
+    /// Fine-tuning for delivery, to go on with.
+    pub(super) tuning: PathBuf,
     /// What came of it.
     pub(super) delivery: PathBuf,
 }
@@ -45,28 +50,32 @@ impl Folder {
             preview: file("preview.png"),
             report: file("report.html"),
             registration: file("registration.json"),
+            tuning: file("delivery.dgst"),
             delivery: file("delivery.json"),
         }
     }
 
-    /// Makes the folder, or refuses one that is in use.
-    pub(super) fn open(&self, args: &Train) -> Result<()> {
+    /// Makes the folder, or refuses one that is in use. No other training opens it while what this returns
+    /// lives.
+    pub(super) fn open(&self, args: &Train) -> Result<Option<File>> {
         let out = &args.out;
-        if args.resume && !self.checkpoint.is_file() && !self.epochs.is_file() {
+        let begun = [&self.checkpoint, &self.epochs, &self.tuning];
+        if args.resume && !begun.iter().any(|file| file.is_file()) {
             bail!("{}: no such checkpoint; train without --resume first", self.checkpoint.display());
-        }
-        let used = self.checkpoint.exists() || self.stream.exists() || self.epochs.exists();
-        if !args.resume && !args.overwrite && used {
-            bail!("{}: holds a training; --resume goes on with it, --overwrite replaces it", out.display());
         }
         std::fs::create_dir_all(out)
             .with_context(|| format!("{}: cannot make this folder", out.display()))?;
+        let lock = lock(out)?;
+        let used = self.stream.exists() || begun.iter().any(|file| file.exists());
+        if !args.resume && !args.overwrite && used {
+            bail!("{}: holds a training; --resume goes on with it, --overwrite replaces it", out.display());
+        }
         self.files().into_iter().try_for_each(files::check)?;
         let of_epochs = epoch_folders(out).map(|epoch| Self::of(&epoch)).collect::<Vec<_>>();
         let all = || std::iter::once(self).chain(&of_epochs).flat_map(Self::files);
         all().try_for_each(|file| files::check_apart(file, &[Path::new(&args.input)]))?;
         if args.resume {
-            return Ok(());
+            return Ok(lock);
         }
         // What is left of another training would be taken for a part of this one.
         for file in all().filter(|file| file.is_file()) {
@@ -76,12 +85,26 @@ impl Folder {
             // A folder in which somebody has put more stays.
             let _ = std::fs::remove_dir(&epoch);
         }
-        Ok(())
+        Ok(lock)
     }
 
-    fn files(&self) -> [&Path; 9] {
-        let Self { checkpoint, stream, utility, epochs, log, preview, report, registration, delivery } = self;
-        [checkpoint, stream, utility, epochs, log, preview, report, registration, delivery]
+    fn files(&self) -> [&Path; 10] {
+        let Self { checkpoint, stream, utility, epochs, log, preview, report, .. } = self;
+        let Self { registration, tuning, delivery, .. } = self;
+        [checkpoint, stream, utility, epochs, log, preview, report, registration, tuning, delivery]
             .map(PathBuf::as_path)
+    }
+}
+
+/// Locks folder `out` until what this returns is gone; the system does that where a process is killed. None
+/// where folders cannot be locked.
+fn lock(out: &Path) -> Result<Option<File>> {
+    let Ok(folder) = File::open(out) else { return Ok(None) };
+    match folder.try_lock() {
+        Ok(()) => Ok(Some(folder)),
+        Err(TryLockError::WouldBlock) => {
+            bail!("{}: another dgs train is at work in it; another --out is needed", out.display())
+        }
+        Err(TryLockError::Error(_)) => Ok(None),
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{fmt::Write as _, path::Path};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use trainer_host::train::StepReport;
 
 /// Rounding and pruning at the end cost less than this, dB.
@@ -68,21 +68,46 @@ pub(super) struct Log {
 }
 
 impl Log {
-    /// Reads what [`Log::csv`] wrote; without a file, nothing was.
-    pub(super) fn read(path: &Path) -> Result<Self> {
+    /// The log at `path` of a training that goes on after `steps` steps. What is not such a log does not keep
+    /// it from going on: the log ends before it, says so, and the file stays under another name.
+    ///
+    /// # Errors
+    /// A file that can neither be read nor renamed.
+    pub(super) fn resumed(path: &Path, steps: u32) -> Result<Self> {
         if !path.exists() {
             return Ok(Self::default());
         }
-        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+        let failed = || path.display().to_string();
+        let bytes = std::fs::read(path).with_context(failed)?;
+        let (mut log, damage) = Self::parse(&String::from_utf8_lossy(&bytes));
+        if let Some(damage) = damage {
+            let aside = path.with_extension("csv.damaged");
+            std::fs::rename(path, &aside).with_context(failed)?;
+            log.notes.push(format!(
+                "{}: {damage}; the log goes on without it, and the file is {} now",
+                path.display(),
+                aside.display()
+            ));
+        }
+        // Steps after the checkpoint are taken again.
+        log.samples.retain(|sample| sample.step <= steps);
+        Ok(log)
+    }
+
+    /// The samples of what [`Log::csv`] wrote, up to the first line that is none; and what is wrong there.
+    fn parse(text: &str) -> (Self, Option<String>) {
+        let mut log = Self::default();
         let mut lines = text.lines();
         if lines.next() != Some(HEADER) {
-            bail!("{}: line 1 is not {HEADER:?}", path.display());
+            return (log, Some(format!("line 1 is not {HEADER:?}")));
         }
-        let sample = |(index, line): (usize, &str)| {
-            Sample::parse(line)
-                .with_context(|| format!("{}: line {} is not a sample of a log", path.display(), index + 2))
-        };
-        Ok(Self { samples: lines.enumerate().map(sample).collect::<Result<_>>()?, notes: Vec::new() })
+        for (index, line) in lines.enumerate() {
+            let Some(sample) = Sample::parse(line) else {
+                return (log, Some(format!("line {} is not a sample of a log", index + 2)));
+            };
+            log.samples.push(sample);
+        }
+        (log, None)
     }
 
     pub(super) fn csv(&self) -> String {
@@ -147,8 +172,15 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log.csv");
         std::fs::write(&path, log.csv()).unwrap();
-        assert_eq!(Log::read(&path).unwrap(), log);
+        assert_eq!(Log::resumed(&path, 200).unwrap(), log);
+        assert_eq!(Log::resumed(&path, 150).unwrap().samples, log.samples[..1], "later steps come again");
         std::fs::write(&path, log.csv() + "x\n").unwrap();
-        assert!(Log::read(&path).unwrap_err().to_string().contains("line 4"));
+        let found = Log::resumed(&path, 200).unwrap();
+        assert_eq!(found.samples, log.samples);
+        assert!(found.notes[0].contains("log.csv: line 4 is not a sample"), "{:?}", found.notes);
+        assert!(!path.exists() && folder.path().join("log.csv.damaged").exists());
+        std::fs::write(&path, [0xff, b'\n', 7]).unwrap();
+        let foreign = Log::resumed(&path, 200).unwrap();
+        assert!(foreign.samples.is_empty() && foreign.notes[0].contains("line 1 is not"), "{foreign:?}");
     }
 }

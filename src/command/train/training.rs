@@ -38,6 +38,10 @@ pub(super) fn resumed(args: &Train, folder: &Folder) -> Result<Option<Checkpoint
         return Ok(None);
     }
     let path = &folder.checkpoint;
+    // A scene that is fine-tuned is not trained.
+    if !path.is_file() && folder.tuning.is_file() && args.delivery.is_some() {
+        return Ok(None);
+    }
     if !path.is_file() {
         bail!("{}: no such checkpoint; train without --resume first", path.display());
     }
@@ -188,6 +192,9 @@ pub(super) fn fit(
     let before = log.seconds();
     let mut progress = begun;
     let steps = steps(args, trainer, begun);
+    // A training that goes on at its own length may fall back to before where it was left.
+    let is_own_length = (f64::from(trainer.steps()) - begun * steps).abs() < 0.5;
+    let least = if is_own_length { 0.0 } else { begun };
     let glances = f64::from(args.evaluations);
     let after = |progress: f64| ((progress * glances).floor() + 1.0) / glances;
     let mut next_glance = if begun > 0.0 { after(begun) } else { 0.0 };
@@ -205,7 +212,7 @@ pub(super) fn fit(
         };
         let seconds = clock.elapsed().as_secs_f64();
         progress = match args.minutes {
-            None => (f64::from(report.step) / steps).max(begun),
+            None => (f64::from(report.step) / steps).max(least),
             Some(minutes) => begun + (1.0 - begun) * (seconds / (60.0 * minutes * (1.0 - begun).max(1e-9))),
         };
         if let Some(what) = &report.rollback {

@@ -5,7 +5,10 @@
 //! the middle of the scene a held-out camera is at least [`SEPARATION`] away from every camera that a
 //! choice was made on, however many there are of each.
 
-use render_host::{Camera, camera::CameraError};
+use render_host::{
+    Camera,
+    camera::{CameraError, DEFAULT_NEAR},
+};
 
 use crate::scene::{Scene, Up};
 
@@ -22,6 +25,8 @@ const AROUND: [(f64, f64); 2] = [(-20.0, HELD_OUT - SEPARATION), (HELD_OUT + SEP
 const DISTANCE: f64 = 2.6;
 /// Vertical field of view where nothing else is asked for, degrees.
 pub const FIELD_OF_VIEW: f64 = 45.0;
+/// Nearest near plane, scene units.
+const MIN_NEAR: f64 = 1e-9;
 /// Frames that a scene is measured at.
 const FRAMES: usize = 8;
 
@@ -138,6 +143,12 @@ impl Framing {
         (0..count).map(camera).collect()
     }
 
+    /// The near plane of a camera that looks at something `distance` away, scene units: the usual one, and of
+    /// what is so small or near that this would hide it a tenth of the distance.
+    pub fn near_at(distance: f64) -> f64 {
+        DEFAULT_NEAR.min(0.1 * distance).max(MIN_NEAR)
+    }
+
     /// A camera at `angle` about `up`, radians, the sine of whose elevation is `height`.
     fn camera(&self, angle: f64, height: f64, size: (u32, u32)) -> Result<Camera, CameraError> {
         self.seen_from(angle, height, FIELD_OF_VIEW, size)
@@ -170,7 +181,8 @@ impl Framing {
             let across = front[d] * angle.cos() + side[d] * angle.sin();
             self.target[d] + distance * (flat * across + height * self.up[d])
         });
-        Camera::look_at(eye, self.target, self.up, degrees.to_radians(), size.0, size.1)
+        let camera = Camera::look_at(eye, self.target, self.up, degrees.to_radians(), size.0, size.1)?;
+        camera.with_near(Self::near_at(distance))
     }
 }
 
@@ -224,6 +236,19 @@ mod tests {
                     assert!(angle > SEPARATION - 1e-6, "{name} of {count}: {angle}");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_tiny_scene_is_beyond_the_near_plane_and_others_have_the_usual_one() {
+        let nearest = |radius: f64| {
+            let camera = &Framing { radius, ..UNIT }.ring(Ring::HeldOut, 1, (8, 8)).unwrap()[0];
+            (camera.near(), camera.to_camera([0.0; 3])[2] - radius)
+        };
+        for radius in [1e-6, 1e-3, 0.02, 0.05, 1.0, 1e3] {
+            let (near, content) = nearest(radius);
+            assert!(near < content, "radius {radius}: near plane at {near}, content at {content}");
+            assert_eq!(near == DEFAULT_NEAR, radius > 0.04, "radius {radius}");
         }
     }
 

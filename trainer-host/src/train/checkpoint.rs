@@ -7,7 +7,7 @@ use std::borrow::Cow;
 
 use codec_core::{Up, internals::digest::Digest};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::{
     error::TrainError,
@@ -18,8 +18,8 @@ use super::{
     views::{Dataset, PosedPhotograph},
 };
 
-const MAGIC: &[u8; 8] = b"DGSTRAIN";
-const VERSION: u16 = 7;
+const MAGIC: &str = "DGSTRAIN";
+const VERSION: u16 = 8;
 const HEADER: usize = 14;
 /// A training between two steps, with what it was trained on and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,19 +38,26 @@ pub struct Checkpoint {
     /// FNV-1a over names, times, cameras and pixels of the training views.
     views: u64,
     state: State,
+    /// What to fall back to, where that is another state.
+    fallback: Option<State>,
 }
 
 /// A file that is not a checkpoint, or a damaged one.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CheckpointError {
     /// Not a checkpoint at all.
-    #[error("not a checkpoint: it does not begin with DGSTRAIN")]
-    Magic,
+    #[error("not a checkpoint: it does not begin with {needed}")]
+    Magic {
+        /// What it is to begin with.
+        needed: &'static str,
+    },
     /// Written by another version.
-    #[error("version is {found}; {VERSION} is allowed")]
+    #[error("version is {found}; {allowed} is allowed")]
     Version {
         /// The version found.
         found: u16,
+        /// The version that is read.
+        allowed: u16,
     },
     /// Bytes changed or missing.
     #[error("damaged: {0}")]
@@ -63,6 +70,7 @@ impl Checkpoint {
 
     /// The state of `trainer` after a step at `progress`.
     pub fn of(trainer: &Trainer, dataset: &Dataset, progress: f64) -> Self {
+        let [state, fallback] = trainer.states();
         Self {
             dataset: dataset.name.clone(),
             frames: dataset.frames,
@@ -71,7 +79,8 @@ impl Checkpoint {
             up: dataset.up as u8,
             options: trainer.options().clone(),
             views: fingerprint(dataset),
-            state: trainer.state().clone(),
+            state: state.clone(),
+            fallback: Some(fallback).filter(|fallback| *fallback != state).cloned(),
         }
     }
 
@@ -107,7 +116,8 @@ impl Checkpoint {
                 self.dataset, dataset.name
             )));
         }
-        Trainer::new(dataset, &self.options)?.with_state(self.state)
+        let fallback = self.fallback.unwrap_or_else(|| self.state.clone());
+        Trainer::new(dataset, &self.options)?.with_state(self.state, fallback)
     }
 
     /// The bytes of a file.
@@ -115,13 +125,7 @@ impl Checkpoint {
     /// # Errors
     /// Never for a checkpoint made by [`Checkpoint::of`].
     pub fn to_bytes(&self) -> Result<Vec<u8>, CheckpointError> {
-        let body = postcard::to_stdvec(self).map_err(|_| CheckpointError::Damaged("cannot be written"))?;
-        let mut out = Vec::with_capacity(HEADER + body.len());
-        out.extend_from_slice(MAGIC);
-        out.extend_from_slice(&VERSION.to_le_bytes());
-        out.extend_from_slice(&crc32fast::hash(&body).to_le_bytes());
-        out.extend_from_slice(&body);
-        Ok(out)
+        framed(MAGIC, VERSION, self)
     }
 
     /// Reads the bytes of a file. Memory is bounded by their number.
@@ -129,21 +133,10 @@ impl Checkpoint {
     /// # Errors
     /// Other bytes than [`Checkpoint::to_bytes`] gives.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
-        let Some((header, body)) = bytes.split_at_checked(HEADER).filter(|(h, _)| h.starts_with(MAGIC))
-        else {
-            return Err(CheckpointError::Magic);
-        };
-        let found = u16::from_le_bytes([header[8], header[9]]);
-        if found != VERSION {
-            return Err(CheckpointError::Version { found });
-        }
-        if crc32fast::hash(body).to_le_bytes() != header[10..14] {
-            return Err(CheckpointError::Damaged("its checksum does not match its bytes"));
-        }
-        let read: Self = postcard::from_bytes(body)
-            .map_err(|_| CheckpointError::Damaged("its numbers end early or have no meaning"))?;
+        let read: Self = unframed(MAGIC, VERSION, bytes)?;
         let posed = read.frames.saturating_mul(read.state.model.gaussians());
         let sound = read.state.is_sound()
+            && read.fallback.as_ref().is_none_or(State::is_sound)
             && read.options.validate().is_ok()
             && (0.0..=1.0).contains(&read.progress)
             && read.frames_per_second.is_finite()
@@ -154,6 +147,40 @@ impl Checkpoint {
     }
 }
 
+/// `value` as the bytes of a file: `magic`, eight bytes, version and checksum before it.
+pub(super) fn framed(
+    magic: &'static str,
+    version: u16,
+    value: &impl Serialize,
+) -> Result<Vec<u8>, CheckpointError> {
+    let body = postcard::to_stdvec(value).map_err(|_| CheckpointError::Damaged("cannot be written"))?;
+    let mut out = Vec::with_capacity(HEADER + body.len());
+    out.extend_from_slice(magic.as_bytes());
+    out.extend_from_slice(&version.to_le_bytes());
+    out.extend_from_slice(&crc32fast::hash(&body).to_le_bytes());
+    out.extend_from_slice(&body);
+    Ok(out)
+}
+
+/// What [`framed`] wrote. Memory is bounded by the number of bytes.
+pub(super) fn unframed<T: DeserializeOwned>(
+    magic: &'static str,
+    version: u16,
+    bytes: &[u8],
+) -> Result<T, CheckpointError> {
+    let header = bytes.split_at_checked(HEADER).filter(|(header, _)| header.starts_with(magic.as_bytes()));
+    let Some((header, body)) = header else { return Err(CheckpointError::Magic { needed: magic }) };
+    let found = u16::from_le_bytes([header[8], header[9]]);
+    if found != version {
+        return Err(CheckpointError::Version { found, allowed: version });
+    }
+    if crc32fast::hash(body).to_le_bytes() != header[10..14] {
+        return Err(CheckpointError::Damaged("its checksum does not match its bytes"));
+    }
+    postcard::from_bytes(body)
+        .map_err(|_| CheckpointError::Damaged("its numbers end early or have no meaning"))
+}
+
 /// FNV-1a, 64 bits, over what tells the training views of one dataset from those of another.
 fn fingerprint(dataset: &Dataset) -> u64 {
     let mut digest = Digest::new();
@@ -161,7 +188,12 @@ fn fingerprint(dataset: &Dataset) -> u64 {
     // The checksum of a processor's instruction, since there may be a gigabyte.
     let sum = |view: &PosedPhotograph| crc32fast::hash(view.photograph.rgba());
     let sums: Vec<u32> = photographs.par_iter().map(sum).collect();
-    for (PosedPhotograph { name, camera, time, .. }, sum) in photographs.iter().zip(sums) {
+    for (view, sum) in photographs.iter().zip(sums) {
+        let PosedPhotograph { name, camera, time, .. } = view;
+        digest = [&view.foreground, &view.counted]
+            .into_iter()
+            .flatten()
+            .fold(digest, |digest, mask| digest.bytes(&crc32fast::hash(mask.values()).to_le_bytes()));
         digest = digest.bytes(name.as_bytes()).bytes(&time.to_le_bytes()).bytes(&sum.to_le_bytes());
         let lens = camera.intrinsics();
         for value in [lens.fx, lens.fy, lens.cx, lens.cy] {

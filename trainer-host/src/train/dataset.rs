@@ -9,6 +9,7 @@ mod blender;
 mod colmap;
 mod error;
 mod files;
+mod nerfstudio;
 mod panoptic;
 pub mod rendered;
 
@@ -16,7 +17,15 @@ use std::path::Path;
 
 pub use error::DatasetError;
 
-use super::views::Dataset;
+use render_host::camera::DEFAULT_NEAR;
+
+use super::{
+    start::Extent,
+    views::{Dataset, PosedPhotograph},
+};
+
+/// Share of half the side of a scene that the near plane is within: units are any.
+const NEAR: f64 = 0.05;
 
 /// Reads the dataset in folder `path`.
 ///
@@ -25,12 +34,28 @@ use super::views::Dataset;
 pub fn read(path: &Path) -> Result<Dataset, DatasetError> {
     let (has, has_sparse) = (|name: &str| path.join(name).is_file(), path.join("sparse/0").is_dir());
     if has("transforms_train.json") || (has("transforms.json") && !has_sparse) {
-        blender::read(path)
+        blender::read(path).map(within_sight)
     } else if has_sparse || colmap::model(path).is_some() {
-        colmap::read(path)
+        colmap::read(path).map(within_sight)
     } else if has("train_meta.json") {
         panoptic::read(path)
     } else {
         Err(DatasetError::Unknown { path: path.to_owned() })
     }
+}
+
+/// The same, with near planes that do not hide a scene that is small in its units; others stay as they are.
+fn within_sight(mut dataset: Dataset) -> Dataset {
+    let near = NEAR * Extent::of(&dataset.start, dataset.train.photographs()).half_side;
+    if near >= DEFAULT_NEAR {
+        return dataset;
+    }
+    let nearer = |view: PosedPhotograph| match view.camera.clone().with_near(near) {
+        Ok(camera) => PosedPhotograph { camera, ..view },
+        Err(_) => view,
+    };
+    dataset.train = dataset.train.map(nearer);
+    dataset.validation = dataset.validation.map(nearer);
+    dataset.test = dataset.test.map(nearer);
+    dataset
 }

@@ -8,7 +8,7 @@ use render_host::{
 };
 use serde::Serialize;
 
-use super::{model::Model, views::Views};
+use super::{model::Model, pixel_mask::PixelMask, views::Views};
 use crate::scene::Instant;
 
 /// How well pictures agree with photographs.
@@ -160,14 +160,20 @@ pub fn evaluate<S: Sync>(
 ) -> Result<Evaluation, EvaluationError> {
     let measured = views.photographs().par_iter().enumerate().map(|(index, view)| {
         let Compared { rendered, photograph } = compare(scene, views, index, reduced, background)?;
-        let alpha = |x: u32, y: u32| {
-            let at = (y * reduced * view.photograph.width() + x * reduced) as usize;
-            view.photograph.rgba().get(4 * at + 3).copied().unwrap_or(0)
+        let is_foreground = |x: u32, y: u32| {
+            let (x, y) = (x * reduced, y * reduced);
+            let at = (y * view.photograph.width() + x) as usize;
+            let alpha = || view.photograph.rgba().get(4 * at + 3).copied().unwrap_or(0);
+            view.foreground.as_ref().map_or_else(|| alpha() >= 128, |mask| mask.at(x, y))
         };
+        let counts = |mask: &PixelMask, x: u32, y: u32| mask.at(x * reduced, y * reduced);
+        let counted = view.counted.as_ref();
+        let is_counted = |x: u32, y: u32| counted.is_none_or(|mask| counts(mask, x, y));
+        let of_counted = counted.and_then(|_| psnr_where(&rendered, &photograph, is_counted));
         Ok::<_, EvaluationError>(OfView {
             size: rendered.size(),
-            psnr_db: metric::psnr(&rendered, &photograph)?,
-            foreground_db: psnr_where(&rendered, &photograph, |x, y| alpha(x, y) >= 128),
+            psnr_db: of_counted.map_or_else(|| metric::psnr(&rendered, &photograph), Ok)?,
+            foreground_db: psnr_where(&rendered, &photograph, |x, y| is_foreground(x, y) && is_counted(x, y)),
             ssim: metric::ssim(&rendered, &photograph)?,
         })
     });

@@ -91,8 +91,18 @@ impl Seen {
                 (*low, *high) = (low.min(mean), high.max(mean));
             }
         }
-        let cells: Vec<bool> =
+        let mut cells: Vec<bool> =
             range.chunks_exact(3).map(|cell| cell.iter().any(|[low, high]| high - low > CHANGE)).collect();
+        // What is never foreground does not move: its pixels change by noise and shadows.
+        if views.iter().all(|view| view.foreground.is_some()) {
+            let mut moves = vec![false; cells.len()];
+            for mask in views.iter().filter_map(|view| view.foreground.as_ref()) {
+                for (at, _) in mask.values().iter().enumerate().filter(|(_, value)| **value > 0) {
+                    moves[at / width / side * across + at % width / side] = true;
+                }
+            }
+            cells.iter_mut().zip(moves).for_each(|(cell, moves)| *cell &= moves);
+        }
         let near = |index: usize| {
             let (x, y) = (index % across, index / across);
             (y.saturating_sub(1)..(y + 2).min(down))
@@ -132,6 +142,7 @@ fn means(photograph: &Photograph, side: usize, across: usize, down: usize) -> Ve
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::train::pixel_mask::PixelMask;
     use render_host::Intrinsics;
 
     /// Six cameras around a ball of grey that is in one of two places, before a wall of dots.
@@ -153,10 +164,29 @@ mod tests {
                 let rgba = (0..96 * 64).flat_map(|at| [pixel(at), pixel(at), pixel(at), 255]).collect();
                 let photograph = Photograph::new(96, 64, rgba).unwrap();
                 let (name, time) = (String::new(), instant as f32 / 3.0);
-                out.push(PosedPhotograph { name, camera: camera.clone(), time, photograph });
+                out.push(PosedPhotograph {
+                    name,
+                    camera: camera.clone(),
+                    time,
+                    photograph,
+                    foreground: None,
+                    counted: None,
+                });
             }
         }
         out
+    }
+
+    #[test]
+    fn what_a_mask_calls_background_does_not_move() {
+        let mut views = views(true);
+        let moved = [0.8, 0.0, 0.0];
+        assert!(MovingRegion::of(&views).unwrap().contains(moved));
+        let all = |value: u8| PixelMask::new(96, 64, vec![value; 96 * 64]);
+        views.iter_mut().for_each(|view| view.foreground = all(1));
+        assert!(MovingRegion::of(&views).unwrap().contains(moved));
+        views.iter_mut().for_each(|view| view.foreground = all(0));
+        assert!(MovingRegion::of(&views).is_none());
     }
 
     #[test]

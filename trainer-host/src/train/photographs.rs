@@ -1,9 +1,12 @@
 //! A pyramid holds the photographs of a split at the sizes that training goes through.
 
 use rayon::prelude::*;
-use render_host::adjoint::loss::photograph::Photograph;
+use render_host::{
+    ImageError,
+    adjoint::loss::photograph::{Photograph, PhotographLoss},
+};
 
-use super::{schedule::Sizes, views::PosedPhotograph};
+use super::{pixel_mask::PixelMask, schedule::Sizes, views::PosedPhotograph};
 
 /// Share of a photograph's width that is kept around its outline.
 const MARGIN: f64 = 0.05;
@@ -20,6 +23,8 @@ pub(super) struct Pyramid<'a> {
     sizes: Sizes,
     /// Of each view, the reduced photographs; without the last one where that is the original.
     reduced: Vec<Vec<Photograph>>,
+    /// Of each view whose pixels do not all count, the mask at each size.
+    counted: Vec<Vec<PixelMask>>,
     /// Of each view and size: left, top, width and height of what its outline needs, pixels.
     outlines: Vec<Vec<[u32; 4]>>,
 }
@@ -43,7 +48,15 @@ impl<'a> Pyramid<'a> {
             divisors.map(reduce).collect::<Vec<_>>()
         };
         let reduced: Vec<Vec<Photograph>> = originals.par_iter().map(pyramid).collect();
-        let mut out = Self { originals, base, sizes, reduced, outlines: Vec::new() };
+        let masks = |view: &PosedPhotograph| {
+            let mask = view.counted.as_ref();
+            let at_sizes = |mask: &PixelMask| {
+                sizes.divisors().iter().map(|by| mask.reduced((by * base).max(1))).collect::<Vec<_>>()
+            };
+            mask.map(at_sizes).unwrap_or_default()
+        };
+        let counted = originals.par_iter().map(masks).collect();
+        let mut out = Self { originals, base, sizes, reduced, counted, outlines: Vec::new() };
         let count = out.sizes();
         out.outlines = (0..originals.len())
             .into_par_iter()
@@ -71,6 +84,19 @@ impl<'a> Pyramid<'a> {
 
     pub(super) fn photograph(&self, view: usize, size: usize) -> &Photograph {
         self.reduced[view].get(size).unwrap_or(&self.originals[view].photograph)
+    }
+
+    /// `loss`, of pixels of the photograph that count.
+    pub(super) fn where_counted<'b>(
+        &'b self,
+        view: usize,
+        size: usize,
+        loss: PhotographLoss<'b>,
+    ) -> Result<PhotographLoss<'b>, ImageError> {
+        match self.counted[view].get(size) {
+            Some(mask) => loss.with_pixel_weights(mask.values()),
+            None => Ok(loss),
+        }
     }
 
     pub(super) fn size(&self, view: usize, size: usize) -> (u32, u32) {
@@ -127,7 +153,14 @@ mod tests {
         let at = 4 * (height / 2 * width + width / 4) as usize;
         rgba[at..at + 4].fill(255);
         let photograph = Photograph::new(width, height, rgba).unwrap();
-        PosedPhotograph { name: "a".to_owned(), camera, time: 0.0, photograph }
+        PosedPhotograph {
+            name: "a".to_owned(),
+            camera,
+            time: 0.0,
+            photograph,
+            foreground: None,
+            counted: None,
+        }
     }
 
     #[test]

@@ -10,6 +10,8 @@ use crate::{
     import::{Limits, synth},
 };
 
+mod masked;
+
 /// How far apart two devices may train the same scene in a few steps, dB.
 const TRAINED_TOLERANCE_DB: f64 = 0.1;
 
@@ -201,6 +203,27 @@ fn a_training_goes_on_from_a_checkpoint_bit_for_bit() {
         second.step(f64::from(step) / f64::from(all)).unwrap();
     }
     assert_eq!(second.model(), whole.model());
+}
+
+/// What a training falls back to is part of its checkpoint.
+#[test]
+fn a_resumed_training_falls_back_as_one_that_was_not_interrupted() {
+    let dataset = dataset(synth::SynthKind::Balls, 3, 6);
+    let mut whole = trained(&dataset, &options(), 60);
+    let bytes = Checkpoint::of(&whole, &dataset, 0.5).to_bytes().unwrap();
+    let mut resumed = Checkpoint::from_bytes(&bytes).unwrap().resume(&dataset).unwrap();
+    for trainer in [&mut whole, &mut resumed] {
+        let report = loop {
+            trainer.poison();
+            let report = trainer.step(0.5).unwrap();
+            if report.rollback.is_some() {
+                break report;
+            }
+        };
+        assert_eq!(report.step, 0, "{report:?}");
+        (0..10).for_each(|step| drop(trainer.step(f64::from(step) / 120.0).unwrap()));
+    }
+    assert_eq!(resumed.model(), whole.model());
 }
 
 /// Coarse steps and values at a price; on so small a scene no Gaussian is one too many.

@@ -138,23 +138,24 @@ impl<'a> Trainer<'a> {
         Ok(self)
     }
 
-    /// Goes on from the state of a checkpoint.
-    pub(super) fn with_state(mut self, state: State) -> Result<Self, TrainError> {
+    /// Goes on from the states of a checkpoint: that of its last step, and what to fall back to.
+    pub(super) fn with_state(mut self, state: State, fallback: State) -> Result<Self, TrainError> {
         let refused = |what: &str| Err(TrainError::Checkpoint(what.to_owned()));
-        if !state.is_sound() {
+        if !state.is_sound() || !fallback.is_sound() {
             return refused("numbers that do not fit together; the file is damaged");
         }
-        if state.size >= self.pyramid.sizes() {
+        if state.size.max(fallback.size) >= self.pyramid.sizes() {
             return refused("made for photographs of another size");
         }
         self.finisher.take_up(&state.finishing, state.model.gaussians())?;
-        self.fallback = state.clone();
+        self.fallback = fallback;
         self.state = state;
         Ok(self)
     }
 
-    pub(super) fn state(&self) -> &State {
-        &self.state
+    /// That of the last step, and what to fall back to.
+    pub(super) fn states(&self) -> [&State; 2] {
+        [&self.state, &self.fallback]
     }
 
     /// Makes a parameter not a number, as a division by zero would.
@@ -373,6 +374,7 @@ impl<'a> Trainer<'a> {
         let failed = |source: BackendError| TrainError::View { view: posed.name.clone(), source };
         let loss = PhotographLoss::new(photograph, background, self.options.weights())
             .cropped(left, top, width, height)
+            .and_then(|loss| self.pyramid.where_counted(view, self.state.size, loss))
             .map_err(|error| failed(AdjointError::from(error).into()))?;
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)
             .map_err(|source| TrainError::Splats { view: posed.name.clone(), source })?;

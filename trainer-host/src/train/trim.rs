@@ -6,6 +6,7 @@ use render_host::adjoint::loss::photograph::Photograph;
 
 use super::{
     photographs::{MAX_REDUCED, exact_reduction},
+    pixel_mask::PixelMask,
     schedule::MIN_SIDE,
     views::{Dataset, PosedPhotograph},
 };
@@ -71,7 +72,11 @@ fn trimmed(view: PosedPhotograph, by: u32) -> PosedPhotograph {
     let rows = view.photograph.rgba().chunks_exact(row).take(height as usize);
     let rgba: Vec<u8> = rows.flat_map(|row| &row[..4 * width as usize]).copied().collect();
     match (Photograph::new(width, height, rgba), view.camera.cropped(0, 0, width, height)) {
-        (Ok(photograph), Ok(camera)) => PosedPhotograph { photograph, camera, ..view },
+        (Ok(photograph), Ok(camera)) => {
+            let cut = |mask: &Option<PixelMask>| mask.as_ref().map(|mask| mask.cut(width, height));
+            let (foreground, counted) = (cut(&view.foreground), cut(&view.counted));
+            PosedPhotograph { photograph, camera, foreground, counted, ..view }
+        }
         _ => view,
     }
 }
@@ -92,7 +97,14 @@ mod tests {
                 Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 0.7, width, height).unwrap();
             let rgba = (0..4 * width * height).map(|at| (at / 4 % width) as u8).collect();
             let photograph = Photograph::new(width, height, rgba).unwrap();
-            PosedPhotograph { name: "a".to_owned(), camera, time: 0.0, photograph }
+            PosedPhotograph {
+                name: "a".to_owned(),
+                camera,
+                time: 0.0,
+                photograph,
+                foreground: None,
+                counted: None,
+            }
         };
         Dataset {
             name: "odd".to_owned(),

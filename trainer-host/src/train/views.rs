@@ -6,6 +6,7 @@ use codec_core::{Footprint, ShDegree};
 use rayon::prelude::*;
 use render_host::{Camera, adjoint::loss::photograph::Photograph};
 
+use super::pixel_mask::PixelMask;
 use crate::scene::{Instant, Up};
 
 /// A photograph, from where and when it was taken.
@@ -19,6 +20,10 @@ pub struct PosedPhotograph {
     pub time: f32,
     /// The photograph.
     pub photograph: Photograph,
+    /// What of it moves or is meant, where a mask of its size says so; without, what is opaque.
+    pub foreground: Option<PixelMask>,
+    /// What of it is trained on, and compared by PSNR, where a mask of its size says so; without, all.
+    pub counted: Option<PixelMask>,
 }
 
 /// Marks views that training may see.
@@ -54,6 +59,19 @@ pub enum ViewsError {
         /// Width and height that the camera has, pixels.
         camera: (u32, u32),
     },
+    /// A mask of another size than its photograph.
+    #[error(
+        "{name}: mask of {} x {} pixels, image of {} x {}",
+        mask.0, mask.1, image.0, image.1
+    )]
+    Mask {
+        /// Name of the image.
+        name: String,
+        /// Width and height of the mask, pixels.
+        mask: (u32, u32),
+        /// Width and height of the image, pixels.
+        image: (u32, u32),
+    },
     /// A time that is not in the clip.
     #[error("{name}: time is {found}; 0 to 1 is allowed")]
     Time {
@@ -68,13 +86,18 @@ impl<Split> Views<Split> {
     /// Checks `photographs`.
     ///
     /// # Errors
-    /// A photograph of another size than its camera, or a time outside 0 to 1.
+    /// A photograph of another size than its camera or its masks, or a time outside 0 to 1.
     pub fn new(photographs: Vec<PosedPhotograph>) -> Result<Self, ViewsError> {
-        for PosedPhotograph { name, camera, time, photograph } in &photographs {
+        for PosedPhotograph { name, camera, time, photograph, foreground, counted } in &photographs {
             let (image, camera) =
                 ((photograph.width(), photograph.height()), (camera.width(), camera.height()));
             if image != camera {
                 return Err(ViewsError::Size { name: name.clone(), image, camera });
+            }
+            for mask in [foreground, counted].into_iter().flatten().map(PixelMask::size) {
+                if mask != image {
+                    return Err(ViewsError::Mask { name: name.clone(), mask, image });
+                }
             }
             if !(0.0..=1.0).contains(time) {
                 return Err(ViewsError::Time { name: name.clone(), found: *time });

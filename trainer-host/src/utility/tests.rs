@@ -120,7 +120,14 @@ fn photographs(scene: &Scene, cameras: &[Camera], frames: &[u32]) -> Views<Train
         });
         let photograph = Photograph::new(96, 72, bytes.collect()).unwrap();
         let time = frame as f32 / (scene.frames() - 1) as f32;
-        PosedPhotograph { name: format!("frame {frame}"), camera, time, photograph }
+        PosedPhotograph {
+            name: format!("frame {frame}"),
+            camera,
+            time,
+            photograph,
+            foreground: None,
+            counted: None,
+        }
     });
     Views::new(taken.collect()).unwrap()
 }

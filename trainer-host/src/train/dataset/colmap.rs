@@ -63,7 +63,14 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
                 .camera
                 .resized(photograph.width(), photograph.height())
                 .map_err(|source| DatasetError::Cameras { path, source })?;
-            Ok(PosedPhotograph { name: view.name, camera, time: 0.0, photograph })
+            Ok(PosedPhotograph {
+                name: view.name,
+                camera,
+                time: 0.0,
+                photograph,
+                foreground: None,
+                counted: None,
+            })
         })
         .collect::<Result<Vec<_>, DatasetError>>()?;
     let (mut train, mut test) = (Vec::new(), Vec::new());

@@ -10,6 +10,7 @@ use render_host::{
 };
 
 use super::error::DatasetError;
+use crate::train::pixel_mask::PixelMask;
 
 /// All bytes of a file.
 pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>, DatasetError> {
@@ -29,6 +30,16 @@ pub(super) fn read_photograph(path: &Path) -> Result<(Photograph, bool), Dataset
     let (width, height) = image.size();
     let has_alpha = image.data().iter().skip(3).step_by(4).any(|&alpha| alpha < 255);
     Photograph::new(width, height, premultiplied.collect()).map(|p| (p, has_alpha)).map_err(failed)
+}
+
+/// The mask in an image file: yes where it is not black.
+pub(super) fn read_mask(path: &Path) -> Result<PixelMask, DatasetError> {
+    let (mask, _) = read_photograph(path)?;
+    let values = mask.rgba().chunks_exact(4).map(|pixel| pixel[0].max(pixel[1]).max(pixel[2])).collect();
+    PixelMask::new(mask.width(), mask.height(), values).ok_or_else(|| {
+        let source = ImageError::Size { width: mask.width(), height: mask.height() };
+        DatasetError::Image { path: path.to_owned(), source }
+    })
 }
 
 /// The name of the last part of a path.

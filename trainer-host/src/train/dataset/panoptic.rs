@@ -1,4 +1,6 @@
-//! Reads datasets of the Panoptic layout of Dynamic 3D Gaussians: `train_meta.json`, `test_meta.json`, `ims`.
+//! Reads datasets of the Panoptic layout of Dynamic 3D Gaussians: `train_meta.json`, `test_meta.json`, `ims`,
+//! and masks of what moves in `seg`, where a camera has some: `ims/3/000001.jpg` has `seg/3/000001.png`, not
+//! black where it shows foreground.
 //!
 //! A meta file has `w` and `h` (pixels) and, by frame and camera, `k` (3 × 3), `w2c` (4 × 4, OpenCV axes),
 //! `fn` (file name under `ims`) and `cam_id`. Frame `i` of `n` is at time `i / (n - 1)`.
@@ -14,11 +16,14 @@ use serde::Deserialize;
 
 use super::{
     error::DatasetError,
-    files::{name_of, read_bytes, read_photograph},
+    files::{name_of, read_bytes, read_mask, read_photograph},
 };
 use crate::{
     scene::Up,
-    train::views::{ColouredPoint, Dataset, FreeSpace, PosedPhotograph, Start, Views},
+    train::{
+        pixel_mask::PixelMask,
+        views::{ColouredPoint, Dataset, FreeSpace, PosedPhotograph, Start, Views},
+    },
 };
 
 /// Points that training starts with, since the layout has none that we may rely on.
@@ -102,7 +107,19 @@ fn split(folder: &Path, file: &str) -> Result<Vec<PosedPhotograph>, DatasetError
             .and_then(|camera| camera.with_near(NEAR))
             .map_err(|source| DatasetError::Cameras { path: image.clone(), source })?;
         let time = frame as f32 / frames.saturating_sub(1).max(1) as f32;
-        Ok(PosedPhotograph { name: name.clone(), camera, time, photograph })
+        let mask = folder.join("seg").join(name).with_extension("png");
+        let has_masks = mask.parent().is_some_and(Path::is_dir);
+        let foreground = has_masks.then(|| read_mask(&mask)).transpose()?;
+        let own = (photograph.width(), photograph.height());
+        if let Some((width, height)) = foreground.as_ref().map(PixelMask::size).filter(|size| *size != own) {
+            return Err(DatasetError::Field {
+                path: mask,
+                field: "size".to_owned(),
+                found: format!("{width} x {height}"),
+                allowed: "that of its image in ims is needed",
+            });
+        }
+        Ok(PosedPhotograph { name: name.clone(), camera, time, photograph, foreground, counted: None })
     };
     wanted.into_par_iter().map(view).collect()
 }

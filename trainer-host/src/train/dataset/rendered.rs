@@ -123,7 +123,14 @@ fn photographs(scene: &Scene, cameras: &[Camera]) -> Result<Vec<PosedPhotograph>
             let photograph = Photograph::new(camera.width(), camera.height(), rgba.collect())
                 .map_err(RenderError::from)?;
             let name = format!("frame {frame}, camera {index}");
-            Ok(PosedPhotograph { name, camera: camera.clone(), time, photograph })
+            Ok(PosedPhotograph {
+                name,
+                camera: camera.clone(),
+                time,
+                photograph,
+                foreground: None,
+                counted: None,
+            })
         };
         cameras.iter().enumerate().map(view).collect()
     };

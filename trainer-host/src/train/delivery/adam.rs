@@ -10,7 +10,7 @@ const SECOND: f64 = 0.99;
 const EPSILON: f64 = 1e-12;
 
 /// Running moments of gradients.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub(super) struct Adam {
     first: Vec<[f64; COMPONENTS]>,
     second: Vec<[f64; COMPONENTS]>,
@@ -21,6 +21,14 @@ impl Adam {
     /// For `count` Gaussians, no gradient seen.
     pub(super) fn new(count: usize) -> Self {
         Self { first: vec![[0.0; COMPONENTS]; count], second: vec![[0.0; COMPONENTS]; count], updates: 0 }
+    }
+
+    /// Whether it is for `count` Gaussians and every moment is a number.
+    pub(super) fn is_sound(&self, count: usize) -> bool {
+        let fits = |moments: &Vec<[f64; COMPONENTS]>| {
+            moments.len() == count && moments.as_flattened().iter().all(|value| value.is_finite())
+        };
+        fits(&self.first) && fits(&self.second) && self.updates >= 0
     }
 
     /// Moves `parameters` against `gradient`, one list per Gaussian and per proxy, at most about `rates` in

@@ -217,7 +217,8 @@ pub struct DeliveryOptions {
     pub unit: LossUnit,
     /// What links are drawn from.
     pub channel: ChannelRanges,
-    /// Recorded states ([`Masks::read`](super::Masks::read)); every other world of `mixed` is one of them.
+    /// A file of recorded states ([`Recording`](super::Recording)): every other world of `mixed` is one that
+    /// was displayed in the motion window of the picture, where there is any.
     pub recorded: Option<PathBuf>,
     /// Largest steps.
     pub learning_rates: LearningRates,

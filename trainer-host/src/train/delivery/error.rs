@@ -55,6 +55,12 @@ pub enum DeliveryError {
         /// What for.
         purpose: &'static str,
     },
+    /// A checkpoint of another fine-tuning.
+    #[error("{what} not as in the checkpoint that is gone on from")]
+    Resumed {
+        /// What differs, in words, with its verb.
+        what: &'static str,
+    },
     /// The objective is not a finite number.
     #[error("update {update}: the objective is {found}; lower learning rates may help")]
     Diverged {

@@ -6,7 +6,6 @@ use rand::seq::SliceRandom;
 use render_host::Settings;
 
 use super::{
-    adam::Adam,
     channel::LossModel,
     coded::Coded,
     config::{DeliveryOptions, LearningRates, Variant, Weights},
@@ -19,8 +18,10 @@ use super::{
     parameters::{COMPONENTS, Parameters},
     rate_model::RateModel,
     record::{Preregistration, Record, hex},
+    recorded::RecordedStates,
     select::{Candidate, select},
     steps::{self, Steps},
+    tuning::{Origin, Tuning},
     view::{Reference, View, views},
 };
 use crate::{
@@ -71,25 +72,39 @@ pub fn fine_tune(
     options: &DeliveryOptions,
     progress: &dyn Fn(&Update) -> ControlFlow<()>,
 ) -> Result<FineTuned, DeliveryError> {
+    resume(scene, references, options, None, &|update, _| progress(update))
+}
+
+/// As [`fine_tune`], from where `begun` is; `progress` hears of every update where the fine-tuning is then.
+/// Broken off after any update and gone on with from there, it gives what it gives without.
+///
+/// # Errors
+/// As [`fine_tune`]; a fine-tuning that was begun with another scene, other references or options.
+pub fn resume(
+    scene: &Scene,
+    references: &[Reference],
+    options: &DeliveryOptions,
+    begun: Option<Tuning>,
+    progress: &dyn Fn(&Update, &Tuning) -> ControlFlow<()>,
+) -> Result<FineTuned, DeliveryError> {
     options.check()?;
     let (training, validation) = split(references, options)?;
     let settings = Settings::default().with_footprint(scene.footprint);
     let views = views(scene, &training, &settings)?;
     let coded = Coded::first(scene, &options.encode)?;
     let sampler = Sampler::new(&coded.encoded.stream, options.unit)?;
-    let blocks = sampler.complete().len();
-    let recorded = options.recorded.as_deref().map(|path| Masks::read(path, blocks)).transpose()?;
+    let stream = &coded.encoded.stream;
+    let recorded = options.recorded.as_deref().map(|path| RecordedStates::read(path, stream)).transpose()?;
     let validation_masks = validation_masks(&sampler, options);
     let parameters = coded.parameters(scene)?;
-    let coded = coded.with_parameters(parameters.clone());
-    let mut run = Training {
+    let mut coded = coded.with_parameters(parameters.clone());
+    let run = Training {
         scene,
         options,
         views: &views,
         prefixes: std::array::from_fn(|level| sampler.prefix(level)),
         sampler,
-        recorded,
-        parameters,
+        recorded: recorded.unwrap_or_default(),
     };
     let first_worlds = run.worlds_of(0..options.updates.min(10));
     let registration = Preregistration::of(options, &validation_masks, &first_worlds);
@@ -97,29 +112,29 @@ pub fn fine_tune(
         registration.write(path)?;
     }
 
-    let mut coding = Coding::new(scene, &coded, options)?;
-    let mut candidates: Vec<(Candidate, Parameters, Decisions)> = Vec::new();
-    let mut coded = coded;
-    let mut rate_model = RateModel::of(scene, &run.parameters, &coded.encoded.decisions);
-    let mut adam = Adam::new(run.parameters.count());
-    let mut record = Record {
-        registration,
-        worlds: hex(run.worlds_of(0..options.updates).hash()),
-        objective: Vec::new(),
-        last_terms: Terms::default(),
-        candidates: Vec::new(),
-        taken: None,
+    let worlds = hex(run.worlds_of(0..options.updates).hash());
+    let made_from = Origin::of(&registration, &coded.encoded.stream, references, &worlds);
+    let coding = Coding::new(scene, &coded, options);
+    let mut at = match begun {
+        Some(begun) => begun.checked(&made_from, &coded, &parameters, options.updates)?,
+        None => Tuning::begun(made_from, parameters.clone(), Coding::steps(scene, &coded, options)?),
     };
-    for update in 0..=options.updates {
+    if let Some(encoded) = &at.encoded {
+        coded = coding.with_steps(&at.steps, encoded)?;
+    }
+    let of_encoded = at.encoded.as_ref().unwrap_or(&parameters);
+    let mut rate_model = RateModel::of(scene, of_encoded, &coded.encoded.decisions);
+    for update in at.updates..=options.updates {
         if update > 0 && (update.is_multiple_of(options.encode_every) || run.is_candidate(update)) {
             if update > run.warm_up() {
-                coding.steps.advance();
+                at.steps.advance();
             }
-            coded = coding.again(&run.parameters)?;
-            rate_model = RateModel::of(scene, &run.parameters, &coded.encoded.decisions);
+            coded = coding.again(&mut at.steps, &at.parameters)?;
+            at.encoded = Some(at.parameters.clone());
+            rate_model = RateModel::of(scene, &at.parameters, &coded.encoded.decisions);
         }
         if run.is_candidate(update) {
-            let moving = coded.moving(scene, &run.parameters);
+            let moving = coded.moving(scene, &at.parameters);
             let found = evaluate_coded(&moving, &validation_masks, &validation)?;
             let candidate = Candidate {
                 updates: update,
@@ -128,39 +143,43 @@ pub fn fine_tune(
                 clean_db: found.clean_db,
                 wire_bytes: found.wire_bytes,
             };
-            candidates.push((candidate, run.parameters.clone(), coded.encoded.decisions.clone()));
+            at.add(candidate, &coded.encoded.decisions)?;
         }
         if update == options.updates {
             break;
         }
-        let (terms, gradient, heard) = run.step(update, &coded, &rate_model, &settings)?;
-        record.objective.push(heard.objective);
-        record.last_terms = terms;
+        let (terms, gradient, heard) = run.step(update, &coded, (&at.parameters, &rate_model), &settings)?;
         if !heard.objective.is_finite() {
             return Err(DeliveryError::Diverged { update, found: heard.objective });
         }
+        at.objective.push(heard.objective);
+        at.last_terms = terms;
         let share = update as f64 / options.updates as f64;
-        coding.steps.observe(&gradient.steps);
-        adam.step(
-            &mut run.parameters,
+        at.steps.observe(&gradient.steps);
+        at.adam.step(
+            &mut at.parameters,
             &gradient.parameters,
             &rates(&options.learning_rates, 0.1f64.powf(share)),
         );
-        if progress(&heard).is_break() {
+        at.updates = update + 1;
+        if progress(&heard, &at).is_break() {
             break;
         }
     }
-    record.candidates = candidates.iter().map(|(candidate, ..)| *candidate).collect();
-    record.taken = select(&record.candidates);
-    let (parameters, decisions) = match record.taken {
-        Some(taken) => {
-            let (_, parameters, decisions) = candidates.swap_remove(taken);
-            (parameters, decisions)
-        }
+    let (parameters, decisions) = match at.best()? {
+        Some(best) => best,
         None => {
-            let decisions = coding.again(&run.parameters)?.encoded.decisions;
-            (run.parameters, decisions)
+            let decisions = coding.again(&mut at.steps, &at.parameters)?.encoded.decisions;
+            (at.parameters, decisions)
         }
+    };
+    let record = Record {
+        registration,
+        worlds,
+        objective: at.objective,
+        last_terms: at.last_terms,
+        taken: select(&at.candidates),
+        candidates: at.candidates,
     };
     Ok(FineTuned { scene: parameters.applied(scene)?, decisions, record })
 }
@@ -170,7 +189,6 @@ struct Coding<'a> {
     scene: &'a Scene,
     /// What the encoder chose.
     decisions: Decisions,
-    steps: Steps,
     table_choices: usize,
     /// Values beyond the range of their symbols that the encoder's own steps leave.
     saturated: u64,
@@ -178,38 +196,47 @@ struct Coding<'a> {
 
 impl<'a> Coding<'a> {
     /// As in `coded`, the encoding of `scene` under `options`.
+    fn new(scene: &'a Scene, coded: &Coded, options: &DeliveryOptions) -> Self {
+        let (encoded, table_choices) = (&coded.encoded, options.encode.table_choices);
+        let saturated = encoded.report.ledger.saturated;
+        Self { scene, decisions: encoded.decisions.clone(), table_choices, saturated }
+    }
+
+    /// The steps that a fine-tuning of `scene`, whose first encoding is `coded`, begins with.
     ///
     /// # Errors
     /// What the encoder refuses of other steps.
-    fn new(scene: &'a Scene, coded: &Coded, options: &DeliveryOptions) -> Result<Self, DeliveryError> {
-        let (encoded, table_choices) = (&coded.encoded, options.encode.table_choices);
-        let decisions = encoded.decisions.clone();
+    fn steps(scene: &Scene, coded: &Coded, options: &DeliveryOptions) -> Result<Steps, DeliveryError> {
+        let encoded = &coded.encoded;
         let gaussians = encoded.order.iter().map(Vec::len).sum::<usize>().max(1);
         // R is in kilobits per Gaussian.
         let price = 8.0 * options.variant.weights(&options.weights).rate / (1000.0 * gaussians as f64);
-        let steps = match options.learn_steps {
-            true => Steps::learned(scene, encoded, table_choices, price)?,
-            false => Steps::fixed(&decisions),
-        };
-        Ok(Self { scene, decisions, steps, table_choices, saturated: encoded.report.ledger.saturated })
+        match options.learn_steps {
+            true => Steps::learned(scene, encoded, options.encode.table_choices, price),
+            false => Ok(Steps::fixed(&encoded.decisions)),
+        }
     }
 
-    /// The scene with `parameters`, coded with the steps of now, or with those before their last change where
-    /// these do not fit packets or symbols.
+    /// The scene with `parameters`, coded with `steps`.
     ///
     /// # Errors
     /// As [`Coded::again`].
-    fn again(&mut self, parameters: &Parameters) -> Result<Coded, DeliveryError> {
-        let coded = |steps: &Steps| {
-            Coded::with_tables(self.scene, parameters, &steps.of(&self.decisions), self.table_choices)
-        };
-        let first = coded(&self.steps);
+    fn with_steps(&self, steps: &Steps, parameters: &Parameters) -> Result<Coded, DeliveryError> {
+        Coded::with_tables(self.scene, parameters, &steps.of(&self.decisions), self.table_choices)
+    }
+
+    /// The same, or with the steps before their last change where these do not fit packets or symbols.
+    ///
+    /// # Errors
+    /// As [`Coded::again`].
+    fn again(&self, steps: &mut Steps, parameters: &Parameters) -> Result<Coded, DeliveryError> {
+        let first = self.with_steps(steps, parameters);
         let fits = match &first {
             Ok(coded) => coded.encoded.report.ledger.saturated <= self.saturated,
             Err(DeliveryError::Encode(EncodeError::BlockTooLarge { .. })) => false,
             Err(_) => true,
         };
-        if fits || !self.steps.step_back() { first } else { coded(&self.steps) }
+        if fits || !steps.step_back() { first } else { self.with_steps(steps, parameters) }
     }
 }
 
@@ -275,8 +302,7 @@ struct Training<'a> {
     views: &'a [View],
     prefixes: [Vec<u8>; PREFIXES],
     sampler: Sampler,
-    recorded: Option<Masks>,
-    parameters: Parameters,
+    recorded: RecordedStates,
 }
 
 impl Training<'_> {
@@ -301,7 +327,7 @@ impl Training<'_> {
     /// States of the worlds of update `update` in its `view`-th picture.
     fn worlds(&self, update: usize, view: usize) -> Vec<Vec<u8>> {
         let (variant, _) = self.objective_of(update);
-        let (options, recorded) = (self.options, self.recorded.as_ref());
+        let (options, recorded) = (self.options, self.recorded.at(self.view(update, view).frame));
         let (worlds, first) = (options.worlds, view * options.worlds);
         let rng = |index| random(options.seed, Purpose::Training, update, first + index);
         self.sampler.worlds(variant, &options.channel, (worlds, options.clean()), recorded, rng)
@@ -327,14 +353,14 @@ impl Training<'_> {
         &self,
         update: usize,
         coded: &Coded,
-        rate_model: &RateModel,
+        (parameters, rate_model): (&Parameters, &RateModel),
         settings: &Settings,
     ) -> Result<(Terms, Gradient, Update), DeliveryError> {
         let (_, weights) = self.objective_of(update);
-        let moving = coded.moving(self.scene, &self.parameters);
+        let moving = coded.moving(self.scene, parameters);
         // Without rows nothing is found out about steps.
         let rows = if self.options.learn_steps { steps::rows(&coded.encoded.decisions) } else { 0 };
-        let (mut terms, mut gradient) = (Terms::default(), Gradient::zeros(self.parameters.count(), rows));
+        let (mut terms, mut gradient) = (Terms::default(), Gradient::zeros(parameters.count(), rows));
         let share = 1.0 / self.options.views as f64;
         let mut arrived = 0.0;
         for view in 0..self.options.views {
@@ -347,8 +373,8 @@ impl Training<'_> {
         }
         gradient.scale(share);
         if weights.rate > 0.0 {
-            let (weight, parameters) = (weights.rate, &mut gradient.parameters);
-            terms.rate = rate_model.differentiate(self.scene, &self.parameters, weight, parameters);
+            let (weight, slopes) = (weights.rate, &mut gradient.parameters);
+            terms.rate = rate_model.differentiate(self.scene, parameters, weight, slopes);
         }
         let objective = terms.total(&weights);
         let (updates, of, expected) = (update + 1, self.options.updates, terms.expected);

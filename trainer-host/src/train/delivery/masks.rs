@@ -1,10 +1,10 @@
-//! Draws the states that deliveries leave, and reads those that others recorded.
+//! Draws the states that deliveries leave.
 //!
 //! A state is a byte per block of the stream, a bit per level that arrived (see codec-core's closure). States
 //! are drawn over the packets, or the completion groups, of the first encoding; blocks and levels stay the
 //! same while a scene is trained, so equal seeds give equal states to every variant.
 
-use std::{collections::BTreeMap, path::Path};
+use std::collections::BTreeMap;
 
 use codec_core::internals::{closure::Arrived, digest::Digest};
 use rand::RngExt;
@@ -51,57 +51,6 @@ impl Masks {
         };
         Ok(Self { states: (0..count).map(draw).collect() })
     }
-
-    /// Reads recorded states from a JSON file: `{"states": ["0f0f03…", …]}`, two hexadecimal digits per
-    /// block. Each must have `blocks` blocks.
-    ///
-    /// # Errors
-    /// A file that cannot be read or holds something else, named by field.
-    pub fn read(path: &Path, blocks: usize) -> Result<Self, DeliveryError> {
-        let content = |message: String| DeliveryError::Content { path: path.to_owned(), message };
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| DeliveryError::File { path: path.to_owned(), error })?;
-        let recorded: Recorded = serde_json::from_str(&text).map_err(|error| content(error.to_string()))?;
-        let mut states = Vec::new();
-        for (index, digits) in recorded.states.iter().enumerate() {
-            let state = parse(digits).ok_or_else(|| {
-                content(format!(
-                    "states[{index}] is {digits:?}; hexadecimal digits 00 to 0f per block are allowed"
-                ))
-            })?;
-            if state.len() != blocks {
-                let found = state.len();
-                return Err(content(format!("states[{index}] has {found} blocks; the stream has {blocks}")));
-            }
-            states.push(state);
-        }
-        if states.is_empty() {
-            return Err(content("states is empty; at least 1 is needed".to_owned()));
-        }
-        Ok(Self { states })
-    }
-
-    /// The states as [`Masks::read`] reads them.
-    pub fn to_json(&self) -> String {
-        let digits = |state: &Vec<u8>| state.iter().map(|mask| format!("{mask:02x}")).collect();
-        let states: Vec<String> = self.states.iter().map(digits).collect();
-        serde_json::json!({ "states": states }).to_string()
-    }
-}
-
-#[derive(serde::Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Recorded {
-    states: Vec<String>,
-}
-
-fn parse(digits: &str) -> Option<Vec<u8>> {
-    let (pairs, rest) = digits.as_bytes().as_chunks::<2>();
-    let byte = |pair: &[u8; 2]| {
-        let byte = u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok()?;
-        (byte <= 0xf).then_some(byte)
-    };
-    if rest.is_empty() { pairs.iter().map(byte).collect() } else { None }
 }
 
 /// What random numbers are for. Each purpose has its own seed, so draws for one do not shift those of
@@ -185,7 +134,7 @@ impl Sampler {
         variant: Variant,
         ranges: &ChannelRanges,
         (worlds, clean): (usize, usize),
-        recorded: Option<&Masks>,
+        recorded: &[Vec<u8>],
         rng: impl Fn(usize) -> Pcg64,
     ) -> Vec<Vec<u8>> {
         let world = |index: usize| {
@@ -193,12 +142,8 @@ impl Sampler {
             if index < clean && variant == Variant::Combined || variant == Variant::Reconstruction {
                 return self.complete.clone();
             }
-            if let Some(recorded) = recorded
-                && variant == Variant::Combined
-                && index.is_multiple_of(2)
-            {
-                let pick = rng.random_range(0..recorded.states.len());
-                return recorded.states[pick].clone();
+            if !recorded.is_empty() && variant == Variant::Combined && index.is_multiple_of(2) {
+                return recorded[rng.random_range(0..recorded.len())].clone();
             }
             let link = ranges.link(variant, index, &mut rng);
             self.state(&link.delivered(&self.bytes, &mut rng))
@@ -267,31 +212,11 @@ mod tests {
     }
 
     #[test]
-    fn recorded_states_come_back_and_bad_files_are_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("states.json");
-        let masks = Masks { states: vec![vec![0, 1, 15], vec![7, 0, 3]] };
-        std::fs::write(&path, masks.to_json()).unwrap();
-        assert_eq!(Masks::read(&path, 3).unwrap(), masks);
-        let refused = |text: &str, blocks| {
-            std::fs::write(&path, text).unwrap();
-            Masks::read(&path, blocks).unwrap_err().to_string()
-        };
-        let short = refused(&masks.to_json(), 4);
-        assert!(short.contains("states[0] has 3 blocks; the stream has 4"), "{short}");
-        let high = refused(r#"{"states": ["0f1f"]}"#, 2);
-        assert!(high.contains("states[0]") && high.contains("0f1f"), "{high}");
-        assert!(refused(r#"{"states": []}"#, 2).contains("at least 1"));
-        assert!(refused(r#"{"stat": []}"#, 2).contains("stat"));
-        assert!(Masks::read(&folder.path().join("no"), 1).unwrap_err().to_string().contains("no"));
-    }
-
-    #[test]
     fn variants_draw_their_own_worlds_and_combined_has_clean_anchors() {
         let sampler = Sampler::new(&stream("dgs1"), LossUnit::Packet).unwrap();
         let ranges = ChannelRanges::default();
         let worlds = |variant, seed| {
-            sampler.worlds(variant, &ranges, (12, 3), None, |i| random(seed, Purpose::Training, 0, i))
+            sampler.worlds(variant, &ranges, (12, 3), &[], |i| random(seed, Purpose::Training, 0, i))
         };
         let complete = |states: &[Vec<u8>]| states.iter().filter(|s| **s == sampler.complete()).count();
         assert_eq!(complete(&worlds(Variant::Reconstruction, 1)), 12);

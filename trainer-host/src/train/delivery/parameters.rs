@@ -25,7 +25,7 @@ pub(super) const COLOUR: usize = 10;
 pub(super) type Values = [f32; COMPONENTS];
 
 /// Parameters of all Gaussians of a scene, and of the proxies of its blocks where they are trained.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Parameters {
     /// Gaussians, epoch by epoch; then proxies in the same way.
     epochs: Vec<Vec<Values>>,
@@ -84,6 +84,13 @@ impl Parameters {
     /// Number of Gaussians in all epochs.
     pub(super) fn count(&self) -> usize {
         self.epochs.iter().map(Vec::len).sum()
+    }
+
+    /// Whether they are parameters of what `other` are parameters of, and numbers.
+    pub(super) fn is_like(&self, other: &Self) -> bool {
+        let same_counts = self.epochs.iter().map(Vec::len).eq(other.epochs.iter().map(Vec::len));
+        let finite = self.epochs.iter().flatten().flatten().all(|value| value.is_finite());
+        same_counts && finite && self.proxy_sizes == other.proxy_sizes
     }
 
     /// `source` with these parameters.

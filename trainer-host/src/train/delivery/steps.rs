@@ -59,7 +59,7 @@ const MIN_RATIO: f64 = 0.02;
 const LEVELS: f64 = 20.0;
 
 /// Steps of a stream's quantisers over those that the encoder chose, one row per quantiser of an epoch.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub(super) struct Steps {
     /// Natural logarithms.
     factors: Vec<PerClass>,
@@ -74,7 +74,7 @@ pub(super) struct Steps {
 }
 
 /// How the size of the stream is controlled.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) enum RateControl {
     /// The stream is as large as with the encoder's steps, as far as savings add up.
     Size,
@@ -130,6 +130,15 @@ impl Steps {
         }
         steps.control = Some(if price > 0.0 { RateControl::Price(price) } else { RateControl::Size });
         Ok(steps)
+    }
+
+    /// Whether there are steps of as many rows as in `decisions`, and all are numbers.
+    pub(super) fn is_sound(&self, decisions: &Decisions) -> bool {
+        let lists = [&self.factors, &self.before, &self.slopes, &self.savings];
+        let fits = |list: &&Vec<PerClass>| {
+            list.len() == rows(decisions) && list.as_flattened().iter().all(|value| value.is_finite())
+        };
+        lists.iter().all(fits)
     }
 
     /// Takes in the slopes of one update.

@@ -6,7 +6,7 @@ use std::{
 use super::*;
 use crate::{
     encode,
-    train::delivery::{evaluate, view::tests::study},
+    train::delivery::{LossUnit, Recording, evaluate, view::tests::study},
 };
 
 fn options(variant: Variant) -> DeliveryOptions {
@@ -133,21 +133,63 @@ fn recorded_states_are_trained_on_and_must_fit() {
     let path = folder.path().join("states.json");
     let mut options = DeliveryOptions { updates: 2, warm_up: 0.0, ..options(Variant::Combined) };
     let encoded = encode::encode(&scene, &options.encode, &crate::encode::no_progress).unwrap();
-    let masks = Masks::draw(
-        &encoded.stream,
-        LossModel::Iid { probability: 0.5 },
-        crate::train::delivery::LossUnit::Packet,
-        2,
-        9,
-    )
-    .unwrap();
+    let loss = LossModel::Iid { probability: 0.5 };
+    let masks = Masks::draw(&encoded.stream, loss, LossUnit::Packet, 2, 9).unwrap();
+    let recording = Recording::of(&encoded.stream, (0..).zip(masks.states)).unwrap();
     let worlds = |options: &DeliveryOptions| {
         fine_tune(&scene, &references, options, &|_| Continue(())).map(|tuned| tuned.record.worlds)
     };
     let without = worlds(&options).unwrap();
     options.recorded = Some(path.clone());
-    std::fs::write(&path, masks.to_json()).unwrap();
+    std::fs::write(&path, recording.to_json()).unwrap();
     assert_ne!(worlds(&options).unwrap(), without);
-    std::fs::write(&path, r#"{"states": ["0f"]}"#).unwrap();
-    assert!(worlds(&options).unwrap_err().to_string().contains("states[0] has 1 blocks"));
+    options.encode.block_len = 32;
+    let error = worlds(&options).unwrap_err().to_string();
+    assert!(error.contains("states.json: stream is"), "of another stream: {error}");
+}
+
+/// Broken off after any update, stored and gone on with, a fine-tuning gives what it gives without.
+#[test]
+fn a_fine_tuning_goes_on_bit_for_bit() {
+    let (scene, references) = study(3, 1);
+    let mut options = DeliveryOptions { updates: 7, ..options(Variant::Combined) };
+    let whole = fine_tune(&scene, &references, &options, &|_| Continue(())).unwrap();
+    let bytes_after = |updates: usize| {
+        let bytes = Mutex::new(Vec::new());
+        let progress = |update: &Update, at: &Tuning| {
+            if update.updates < updates {
+                return Continue(());
+            }
+            *bytes.lock().unwrap() = at.to_bytes().unwrap();
+            Break(())
+        };
+        resume(&scene, &references, &options, None, &progress).unwrap();
+        bytes.into_inner().unwrap()
+    };
+    // Before the second encoding, at one, between two, after the last update.
+    for updates in [1, 3, 5, 7] {
+        let at = Tuning::from_bytes(&bytes_after(updates)).unwrap();
+        let gone_on = resume(&scene, &references, &options, Some(at), &|_, _| Continue(())).unwrap();
+        assert_eq!(gone_on.record, whole.record, "after {updates}");
+        assert!(gone_on.scene.epochs() == whole.scene.epochs() && gone_on.decisions == whole.decisions);
+    }
+
+    // What it was not made from is refused by name, and so is damage.
+    let bytes = bytes_after(3);
+    let refused = |scene: &Scene, references: &[Reference], options: &DeliveryOptions| {
+        let at = Tuning::from_bytes(&bytes).unwrap();
+        let error = resume(scene, references, options, Some(at), &|_, _| panic!("nothing is trained"));
+        error.unwrap_err().to_string()
+    };
+    let (other, _) = study(3, 2);
+    let fewer = &references[..references.len() - 1];
+    assert!(refused(&other, fewer, &options).contains("pictures"), "the same scene");
+    let faster = Scene::new(scene.epochs().to_vec(), 2.0 * scene.frames_per_second()).unwrap();
+    assert!(refused(&faster, &references, &options).contains("the scene is not as in the checkpoint"));
+    options.seed += 1;
+    assert!(refused(&scene, &references, &options).contains("the configuration"));
+    let mut damaged = bytes.clone();
+    damaged[100] ^= 1;
+    assert!(Tuning::from_bytes(&damaged).unwrap_err().to_string().contains("checksum"));
+    assert!(Tuning::from_bytes(b"DGSTRAIN").unwrap_err().to_string().contains("DGSTUNED"));
 }
