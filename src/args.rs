@@ -31,7 +31,7 @@ pub use self::{
     link::{ControllerName, LinkArgs, TransportName},
     pictures::{Compare, Render},
     scene::{SceneArgs, Up},
-    socket::{Play, Serve},
+    socket::{Play, Serve, ServerController},
     sweep::{SweepAction, SweepArgs, SweepMerge},
     view::{View, WindowArgs},
 };
@@ -388,4 +388,7 @@ pub struct Bench {
     /// Folder for tables (CSV) and drawings (SVG) of the benches that make them; none are written without.
     #[arg(long)]
     pub out: Option<PathBuf>,
+    /// Weights of LPIPS (AlexNet, safetensors), to measure it too: in `transport`.
+    #[arg(long, value_name = "FILE")]
+    pub lpips: Option<PathBuf>,
 }

@@ -5,6 +5,8 @@
 
 #[path = "sockets/growing.rs"]
 mod growing;
+#[path = "sockets/reconnected.rs"]
+mod reconnected;
 #[path = "sockets/served.rs"]
 mod served;
 
@@ -21,10 +23,13 @@ use dgs::{
     pipeline::{self, Quiet},
 };
 use dgs_player::Player;
-use dgs_quic::socket::{
-    ClientConfig, FrameSink, Identity, Impairment, Locator, NullSink, PlayError, PlayReport, Scheme,
-    ServedStream, Server, ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport,
-    message::StreamChoice, play,
+use dgs_quic::{
+    CongestionControl,
+    socket::{
+        ClientConfig, FrameSink, Identity, Impairment, Locator, NullSink, PlayError, PlayReport, Scheme,
+        ServedStream, Server, ServerConfig, ServerError, ServerLimits, ServerReport, Trust, ViewerReport,
+        message::StreamChoice, play,
+    },
 };
 use emulator_host::{
     Nanos, PolicyKind, Rate,
@@ -61,6 +66,19 @@ fn within<T>(test: impl Future<Output = T>) -> T {
     runtime.block_on(async { tokio::time::timeout(Duration::from_secs(60), test).await.unwrap() })
 }
 
+/// A server on any free port.
+fn config(identity: Identity, limits: ServerLimits, impairment: Option<Impairment>) -> ServerConfig {
+    ServerConfig {
+        bind: (Ipv4Addr::LOCALHOST, 0).into(),
+        identity,
+        limits,
+        policy: PolicyKind::DeadlineUtility,
+        congestion: CongestionControl::default(),
+        impairment,
+        viewer_conditions: false,
+    }
+}
+
 /// A server in the background.
 struct Running {
     address: SocketAddr,
@@ -89,10 +107,17 @@ impl Running {
         impairment: Option<Impairment>,
         offers: Vec<ServedStream>,
     ) -> Self {
-        let bind = (Ipv4Addr::LOCALHOST, 0).into();
-        let policy = PolicyKind::DeadlineUtility;
-        let config = ServerConfig { bind, identity, limits, policy, impairment, viewer_conditions: false };
-        let server = Server::bind(config, offers).unwrap();
+        Self::bound(config(identity, limits, impairment), offers).unwrap()
+    }
+
+    fn governed(congestion: CongestionControl, impairment: Impairment) -> Self {
+        let identity = Identity::self_signed(&["127.0.0.1".to_owned()]).unwrap();
+        let config = config(identity, ServerLimits::default(), Some(impairment));
+        Self::bound(ServerConfig { congestion, ..config }, vec![offer("figure")]).unwrap()
+    }
+
+    fn bound(config: ServerConfig, offers: Vec<ServedStream>) -> Result<Self, ServerError> {
+        let server = Server::bind(config, offers)?;
         let (address, trust) = (server.local_addr().unwrap(), Trust::Pin(server.pin()));
         let (stop, stopped) = oneshot::channel();
         let task = tokio::spawn(async move {
@@ -101,7 +126,7 @@ impl Running {
             let report = server.run(async { drop(stopped.await) }, ended).await;
             (report, viewers)
         });
-        Self { address, trust, stop: Some(stop), task }
+        Ok(Self { address, trust, stop: Some(stop), task })
     }
 
     fn client(&self) -> ClientConfig {

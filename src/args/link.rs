@@ -70,7 +70,7 @@ impl LinkArgs {
 pub enum TransportName {
     /// The emulator's model of QUIC.
     Model,
-    /// QUIC itself (`quinn-proto`) in virtual time, its handshake done before; with newreno or cubic.
+    /// QUIC itself (`quinn-proto`) in virtual time, its handshake done before; with newreno, cubic or scream.
     Quic,
 }
 

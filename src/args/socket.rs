@@ -2,7 +2,7 @@
 
 use std::{net::SocketAddr, path::PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use dgs_quic::{
     http::Origin,
     socket::{DEFAULT_PORT, Locator, Pin},
@@ -32,8 +32,8 @@ pub struct Serve {
     #[arg(
         long, value_name = "URL",
         conflicts_with_all = [
-            "listen", "http", "no_http", "host", "cert", "key", "policy", "max_viewers", "max_rate", "idle",
-            "impair", "fixed_conditions",
+            "listen", "http", "no_http", "host", "cert", "key", "policy", "controller", "max_viewers",
+            "max_viewers_per_address", "max_rate", "idle", "impair", "fixed_conditions",
         ]
     )]
     pub moq: Option<Locator>,
@@ -69,9 +69,16 @@ pub struct Serve {
     /// viewer who asks for deadline-utility-paper instead gets its rule over gains.
     #[arg(long, value_enum, default_value_t = PolicyName::DeadlineUtility)]
     pub policy: PolicyName,
+    /// Congestion controller of every viewer by QUIC; over a WebSocket it is that of TCP.
+    #[arg(long, value_enum, default_value_t = ServerController::Cubic)]
+    pub controller: ServerController,
     /// Viewers at once, 1 to 10000.
     #[arg(long, default_value_t = 100, value_parser = whole::<usize>(1..=10_000, "viewers"))]
     pub max_viewers: usize,
+    /// Viewers at once from one address (of IPv6 its first 64 bits), 1 to 10000: many who share a connection
+    /// share it, too.
+    #[arg(long, default_value_t = 32, value_parser = whole::<usize>(1..=10_000, "viewers"))]
+    pub max_viewers_per_address: usize,
     /// Most media for each viewer, Mbit/s, above 0 [default: what the path takes].
     #[arg(long, value_name = "MBIT", value_parser = positive, allow_negative_numbers = true)]
     pub max_rate: Option<f64>,
@@ -95,6 +102,20 @@ pub struct Serve {
     /// How to encode a scene.
     #[command(flatten)]
     pub codec: CodecArgs,
+}
+
+/// A congestion controller of a server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ServerController {
+    /// RFC 9002, of quinn: the one that the emulator's figures are about; every loss halves it.
+    Newreno,
+    /// RFC 8312, of quinn: as fair as TCP, and faster than newreno again after a loss on long paths.
+    Cubic,
+    /// BBR of quinn, experimental: goes on where much is lost at random; fills and overflows queues.
+    Bbr,
+    /// SCReAMv2, as in the emulator: for links with long queues, bounds the delay that it causes itself;
+    /// slower beside other flows.
+    Scream,
 }
 
 /// `dgs play`.

@@ -57,7 +57,7 @@ fn typed(args: &Bench, json: bool) -> Vec<OsString> {
             typed.push(flag.into());
         }
     }
-    for (option, folder) in [("--data", &args.data), ("--out", &args.out)] {
+    for (option, folder) in [("--data", &args.data), ("--out", &args.out), ("--lpips", &args.lpips)] {
         if let Some(folder) = folder {
             typed.extend([option.into(), folder.into()]);
         }

@@ -11,6 +11,7 @@ use std::{
 
 use anyhow::{Context, Result, bail};
 use dgs_quic::{
+    CongestionControl,
     http::{HttpConfig, HttpLimits, HttpReport, HttpServer, Site, SiteStream},
     socket::{
         Identity, Locator, Scheme, ServedStream, Server, ServerConfig, ServerLimits, ServerReport,
@@ -26,7 +27,7 @@ use super::{
     socket::{asset, interruption, runtime, trust},
 };
 use crate::{
-    args::Serve,
+    args::{Serve, ServerController},
     figures::counted,
     output::{self, VerbOutput},
     pipeline::{self, LiveReader, Quiet},
@@ -82,6 +83,7 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     let offers = offers(args, quiet, &mut warnings)?;
     let limits = ServerLimits {
         max_viewers: args.max_viewers,
+        max_viewers_per_address: args.max_viewers_per_address,
         max_rate_bps: args.max_rate.map(|mbit| (mbit * 1e6) as u64),
         idle: Duration::from_secs(args.idle),
         ..ServerLimits::default()
@@ -92,6 +94,7 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
         identity,
         limits,
         policy,
+        congestion: congestion(args.controller),
         impairment,
         viewer_conditions: !args.fixed_conditions,
     };
@@ -104,6 +107,16 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
         "urls": urls, "page": page, "server": report, "http": http, "viewers": viewers, "warnings": warnings,
     });
     Ok(VerbOutput { text, json, ..VerbOutput::default() })
+}
+
+/// The controller of a name.
+fn congestion(name: ServerController) -> CongestionControl {
+    match name {
+        ServerController::Newreno => CongestionControl::NewReno,
+        ServerController::Cubic => CongestionControl::Cubic,
+        ServerController::Bbr => CongestionControl::Bbr,
+        ServerController::Scream => CongestionControl::Scream,
+    }
 }
 
 /// Publishes at a relay instead.
@@ -300,9 +313,9 @@ fn summary(report: &ServerReport, http: Option<&HttpReport>) -> String {
     let refused: Vec<String> = report.refused.iter().map(|(code, count)| format!("{code} {count}")).collect();
     let refused = if refused.is_empty() { "none".to_owned() } else { refused.join(", ") };
     let mut text = format!(
-        "{} viewers; {} handshakes failed, {} turned away, {} had to prove their address; \
-         refused: {refused}\n",
-        report.viewers, report.failed_handshakes, report.turned_away, report.retried
+        "{} viewers; {} handshakes failed, {} turned away, {} had to prove their address, {} datagrams were \
+         no QUIC; refused: {refused}\n",
+        report.viewers, report.failed_handshakes, report.turned_away, report.retried, report.stray_datagrams,
     );
     if let Some(http) = http {
         text += &format!(

@@ -88,6 +88,25 @@ fn a_tenth_lost_still_shows_every_frame_with_nearly_all_bases() {
 }
 
 #[test]
+fn every_controller_shows_every_frame_over_a_bad_link() {
+    within(async {
+        for congestion in [
+            CongestionControl::NewReno,
+            CongestionControl::Cubic,
+            CongestionControl::Bbr,
+            CongestionControl::Scream,
+        ] {
+            let server = Running::governed(congestion, lossy(0.05));
+            let report = server.play(&server.client()).await.unwrap();
+            assert_eq!(report.shown_count, 30, "{congestion:?}");
+            assert!(report.base_miss_rate < 0.1, "{congestion:?}: {report:?}");
+            let (_, viewers) = server.stop().await;
+            assert!(viewers[0].lost > 0, "{congestion:?}: {viewers:?}");
+        }
+    });
+}
+
+#[test]
 fn playout_begins_in_the_window_of_the_time_and_repeats_from_the_start() {
     within(async {
         let server = Running::start(ServerLimits::default(), None);

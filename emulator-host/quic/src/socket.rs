@@ -15,6 +15,7 @@ mod limits;
 mod locator;
 mod media_streams;
 pub mod message;
+mod per_address;
 mod playback;
 mod round;
 mod scheme;
@@ -22,6 +23,7 @@ mod screen;
 mod served_stream;
 mod server;
 mod settings;
+mod strays;
 #[cfg(test)]
 mod tests;
 mod viewer;

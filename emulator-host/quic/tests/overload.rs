@@ -64,3 +64,15 @@ fn the_link_is_full_and_its_queue_is_not() {
         assert!(share >= 0.9 && trip > 2.0 * FULL && late > 0, "{controller:?}: {share} {trip} {late}");
     }
 }
+
+/// SCReAM bounds the queue itself, over real QUIC as over the model: within its largest target, where NewReno
+/// fills the half second that there is.
+#[test]
+fn scream_bounds_the_queue_whatever_the_scheduler_does() {
+    let graph = Synthetic { rate: Rate::from_mbps(10), ..Synthetic::default() }.build(1).unwrap();
+    let scream = config(PolicyKind::Layered, ControllerKind::Scream);
+    let both = [simulate(&graph, &scream).unwrap(), virtual_time::simulate(&graph, &scream).unwrap()];
+    for (share, trip, _) in both.iter().map(figures) {
+        assert!(share >= 0.85 && trip <= 2.0 * FULL, "{share} {trip}");
+    }
+}

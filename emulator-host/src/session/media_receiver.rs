@@ -47,6 +47,9 @@ pub struct MediaReceiver {
     clip: Option<Clip>,
     changed: bool,
     start: Option<Nanos>,
+    /// By how much frames are shown earlier than their time since `start`: frame 0 would have been shown
+    /// before time began.
+    lead: Nanos,
     reached: bool,
     next_frame: u32,
     receipts: ReceiptWriter,
@@ -60,6 +63,7 @@ impl MediaReceiver {
             clip: None,
             changed: true,
             start: None,
+            lead: Nanos::ZERO,
             reached: false,
             next_frame: 0,
             receipts: ReceiptWriter::new(),
@@ -70,6 +74,12 @@ impl MediaReceiver {
     pub fn on_clip(&mut self, frames: u32, frame_interval: Nanos) {
         self.clip = Some(Clip { frames, frame_interval });
         self.changed = true;
+    }
+
+    /// What is before `frame` has been shown already: playout starts with it, as if those before it had been
+    /// shown in time. To be said before playout starts.
+    pub fn skip_to(&mut self, frame: u32) {
+        self.next_frame = frame;
     }
 
     /// Something came, of whatever kind: what is usable may have grown.
@@ -113,18 +123,19 @@ impl MediaReceiver {
     /// it starts now. Asked only after something has changed. The sender needs to know of a start at once.
     pub fn start_if_ready(&mut self, now: Nanos, is_usable: impl FnOnce() -> bool) -> bool {
         let waited = now >= self.startup.max_wait;
-        if self.start.is_some() || self.clip.is_none() || !(self.changed || waited) {
+        let Some(clip) = self.clip.filter(|_| self.start.is_none() && (self.changed || waited)) else {
             return false;
-        }
+        };
         self.changed = false;
         self.reached = is_usable();
         if self.reached || waited {
-            self.start = Some(now);
+            let skipped = clip.frame_interval.times(self.next_frame.into());
+            (self.start, self.lead) = (Some(now - skipped), skipped - now);
         }
         self.start.is_some()
     }
 
-    /// When frame 0 was shown.
+    /// When frame 0 was shown, or would have been; zero if before time began.
     pub fn playout_start(&self) -> Option<Nanos> {
         self.start
     }
@@ -146,11 +157,16 @@ impl MediaReceiver {
 
     /// When playout has something to do next.
     pub fn next_time(&self) -> Nanos {
-        match (self.start, self.clip) {
-            (_, None) => Nanos::MAX,
-            (None, Some(_)) => self.startup.max_wait,
-            (Some(start), Some(clip)) => start + clip.frame_interval.times(u64::from(self.next_frame)),
+        match self.clip {
+            None => Nanos::MAX,
+            Some(_) => self.due(self.next_frame).unwrap_or(self.startup.max_wait),
         }
+    }
+
+    /// When `frame` is to be shown, once playout has started.
+    pub fn due(&self, frame: u32) -> Option<Nanos> {
+        let (start, clip) = self.start.zip(self.clip)?;
+        Some(start + clip.frame_interval.times(u64::from(frame)) - self.lead)
     }
 
     /// The next frame to show, if its time has come.
@@ -178,5 +194,29 @@ impl MediaReceiver {
     /// The bytes of the receipt composed last.
     pub(super) fn receipt_bytes(&mut self) -> &[u8] {
         self.receipts.bytes()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::startup::StartupRule;
+
+    #[test]
+    fn what_was_shown_before_is_skipped_and_the_rest_follows_at_once() {
+        let startup = Startup { rule: StartupRule::BaseGroups(0.95), max_wait: Nanos::from_s(5) };
+        let interval = Nanos::from_ms(100);
+        for (now, start) in [(Nanos::from_ms(50), Nanos::ZERO), (Nanos::from_s(2), Nanos::from_ms(1300))] {
+            let mut receiver = MediaReceiver::new(startup);
+            receiver.on_clip(10, interval);
+            receiver.skip_to(7);
+            assert!(receiver.start_if_ready(now, || true));
+            // Frame 0 would have been shown seven frames before, if time had begun by then.
+            assert_eq!(receiver.playout_start(), Some(start));
+            assert_eq!((receiver.frame_due(now), receiver.frame_due(now)), (Some(7), None));
+            assert_eq!((receiver.next_time(), receiver.due(7)), (now + interval, Some(now)));
+            assert_eq!(receiver.frame_due(now + interval), Some(8));
+            assert!(!receiver.is_over());
+        }
     }
 }

@@ -1,6 +1,7 @@
 //! Lists every experiment: one file per bench, one [`Bench`] of figures each.
 
 mod accounting;
+mod agreement;
 mod clock;
 mod cloud;
 mod convert;
@@ -161,6 +162,12 @@ pub const ALL: &[Experiment] = &[
         name: "sims",
         about: "deliveries of 30 s at 5 Mbit/s per second and core, time per packet event",
         run: sims::run,
+    },
+    Experiment {
+        name: "agreement",
+        about: "one stream over the model, over quinn-proto in virtual time and over loopback sockets: \
+            startup, misses, losses, goodput, latency",
+        run: agreement::run,
     },
     Experiment {
         name: "quic-model",

@@ -33,6 +33,9 @@ struct Typed {
     /// Folder for tables (CSV) and drawings (SVG) of the benches that make them; none are written without.
     #[arg(long)]
     out: Option<PathBuf>,
+    /// Weights of LPIPS (AlexNet, safetensors), to measure it too: in `transport`.
+    #[arg(long, value_name = "FILE")]
+    lpips: Option<PathBuf>,
     /// Print figures as JSON on standard output, and nothing else there.
     #[arg(long)]
     json: bool,
@@ -51,6 +54,7 @@ fn run(typed: &Typed) -> Result<VerbOutput> {
     }
     let mut setup = Setup::new(typed.data.clone(), typed.quick, Quiet(typed.json));
     setup.out.clone_from(&typed.out);
+    setup.lpips.clone_from(&typed.lpips);
     let mut benches = Vec::new();
     for experiment in chosen(typed.name.as_deref().unwrap_or("all"))? {
         let bench = (experiment.run)(&setup)?;

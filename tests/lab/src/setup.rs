@@ -22,13 +22,21 @@ pub struct Setup {
     pub quiet: Quiet,
     /// Where tables and drawings go, if anywhere.
     pub out: Option<PathBuf>,
+    /// Weights of LPIPS, to measure it too where pictures are rated.
+    pub lpips: Option<PathBuf>,
 }
 
 impl Setup {
     /// A setup with the data folder typed, else `../shared/data` if it is there.
     pub fn new(data: Option<PathBuf>, quick: bool, quiet: Quiet) -> Self {
         let beside = PathBuf::from("../shared/data");
-        Self { data: data.or_else(|| beside.is_dir().then_some(beside)), quick, quiet, out: None }
+        Self {
+            data: data.or_else(|| beside.is_dir().then_some(beside)),
+            quick,
+            quiet,
+            out: None,
+            lpips: None,
+        }
     }
 
     /// Writes `text` as `name` in the folder for tables and drawings, where one was given.

@@ -41,11 +41,24 @@ impl Relay {
         let transport = timeout(config.silence, Transport::connect(connection.clone(), request)).await;
         let transport = transport.map_err(|_| silence())?;
         let transport = transport.map_err(|error| PlayError::Relay(error.to_string()))?;
+        let has_version = transport.protocol().is_some();
         let agreed = timeout(config.silence, client.connect(Instant::now(), transport)).await;
         let agreed = agreed.map_err(|_| silence())?;
-        let (session, driver) = agreed.map_err(|error| PlayError::Relay(error.to_string()))?;
+        let (session, driver) = agreed.map_err(|error| {
+            // Relays of early versions agree on none in the handshake, either; but they know what comes next.
+            if has_version { PlayError::Relay(error.to_string()) } else { no_relay(config, &error) }
+        })?;
         Ok(Self { endpoint, connection, session, driver })
     }
+}
+
+/// That what answers is a server of WebTransport and of something else.
+fn no_relay(config: &ClientConfig, error: &moq_net::Error) -> PlayError {
+    let Locator { host, port, .. } = &config.locator;
+    PlayError::Relay(format!(
+        "what answers at {host}:{port} speaks no version of Media over QUIC ({error}); a server of \
+         `dgs serve` is played by dgs:// or https://, without moq+"
+    ))
 }
 
 /// Says that it is over, and waits a moment for that to arrive.

@@ -87,6 +87,13 @@ impl SessionTransport {
         }
     }
 
+    /// The link before the viewer is another.
+    pub(super) fn forget_least_rtt(&self) {
+        if let Self::Quic(channel) = self {
+            channel.forget_least_rtt();
+        }
+    }
+
     /// Round trip, smoothed.
     pub(super) fn rtt(&self) -> Duration {
         match self {

@@ -2,7 +2,7 @@
 
 use std::{
     sync::atomic::{AtomicBool, Ordering},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use bytes::Bytes;
@@ -19,6 +19,7 @@ use super::{
     message::{Refusal, RefusalCode},
     web::{self, Closing, WebClose, WebError, WebSession},
 };
+use crate::congestion::{Watch, Watched};
 
 /// How long a peer may take to hear why a WebTransport session is closed.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
@@ -48,9 +49,12 @@ pub enum Closed {
 /// What is known of the path to a peer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Path {
-    /// Round trip: its smoothed mean, and the least.
+    /// Round trip: its smoothed mean, the least, and the newest if it is known.
     pub(super) rtt: Duration,
     pub(super) least_rtt: Duration,
+    pub(super) newest_rtt: Option<Duration>,
+    /// Bytes of all kinds on their way, if that is known.
+    pub(super) in_flight: Option<u64>,
     /// Most bytes on their way, as far as congestion control says.
     pub(super) window_bytes: u64,
     /// Bytes of the largest datagram.
@@ -163,12 +167,28 @@ impl Channel {
     /// What QUIC knows of the path.
     pub(super) fn path(&self) -> Path {
         let path = self.connection.stats().path;
+        let known = self.watch().map(|watch| watch.look());
         Path {
             rtt: path.rtt,
-            least_rtt: path.min_rtt,
+            least_rtt: known.and_then(|known| known.least).unwrap_or(path.min_rtt),
+            newest_rtt: known.and_then(|known| known.newest),
+            in_flight: known.map(|known| known.in_flight),
             window_bytes: path.cwnd,
             datagram_bytes: u64::from(path.current_mtu),
         }
+    }
+
+    /// What was put in front of the peer has changed: how long its round trip is at least is not known.
+    pub(super) fn forget_least_rtt(&self) {
+        if let Some(watch) = self.watch() {
+            watch.forget(Instant::now());
+        }
+    }
+
+    /// What watches the controller of a server's connection.
+    fn watch(&self) -> Option<Watch> {
+        let controller = self.connection.congestion_state().into_any().downcast::<Watched>().ok()?;
+        Some(controller.watch)
     }
 
     /// Becomes ready once the transport has taken the datagram.

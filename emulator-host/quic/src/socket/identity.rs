@@ -134,12 +134,22 @@ impl Identity {
         self.chain.first().map_or(Pin([0; 32]), Pin::of)
     }
 
+    /// A secret that follows from the key: a server that is started again with the same key has it again.
+    pub(super) fn secret(&self, label: &[u8]) -> [u8; 32] {
+        let key = ::ring::hmac::Key::new(::ring::hmac::HMAC_SHA256, self.key.secret_der());
+        let mut secret = [0; 32];
+        secret.copy_from_slice(::ring::hmac::sign(&key, label).as_ref());
+        secret
+    }
+
     /// The server's side of the handshake.
     pub(crate) fn server(self) -> Result<QuicServerConfig, IdentityError> {
         let builder = rustls::ServerConfig::builder_with_provider(Arc::new(ring::default_provider()));
         let builder = builder.with_protocol_versions(&[&rustls::version::TLS13])?;
         let mut config = builder.with_no_client_auth().with_single_cert(self.chain, self.key)?;
         config.alpn_protocols = vec![ALPN.to_vec(), web::ALPN.to_vec()];
+        // No client comes back by a ticket; they would travel before the manifest.
+        config.send_tls13_tickets = 0;
         Ok(QuicServerConfig::try_from(config)?)
     }
 }

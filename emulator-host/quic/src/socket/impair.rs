@@ -33,6 +33,9 @@ const MAX_LINKS: usize = 1024;
 /// Most bytes inside a link that a viewer has asked for; more are lost.
 const MAX_VIEWER_BYTES: u64 = 1 << 20;
 
+/// As the emulator calls the way to a viewer: the same seed gives the same luck.
+const LABEL: &str = "forward";
+
 /// A link before a viewer.
 #[derive(Clone, Debug)]
 pub struct Impairment {
@@ -82,7 +85,7 @@ impl ImpairedSocket {
     /// A path that is illegal.
     pub(super) fn new(inner: Arc<dyn AsyncUdpSocket>, of_all: Option<Impairment>) -> Result<Self, PathError> {
         if let Some(impairment) = &of_all {
-            impairment.path.build("impair", impairment.seed)?;
+            impairment.path.build(LABEL, impairment.seed)?;
         }
         let links = Arc::new(Links {
             of_all,
@@ -133,8 +136,8 @@ impl Links {
                 self.clear(destination);
                 return true;
             }
-            (Some(impairment), _) => impairment.path.build("viewer", impairment.seed),
-            (None, Some(_)) => PathConfig::unimpaired().build("viewer", 0),
+            (Some(impairment), _) => impairment.path.build(LABEL, impairment.seed),
+            (None, Some(_)) => PathConfig::unimpaired().build(LABEL, 0),
         };
         let mut links = self.lock();
         let has_room = links.len() < MAX_LINKS || links.contains_key(&destination);
@@ -169,7 +172,7 @@ impl Links {
             let Some(impairment) = self.of_all.as_ref().filter(|_| links.len() < MAX_LINKS) else { return };
             // It was built once before, so it is legal.
             let seed = impairment.seed.wrapping_add(links.len() as u64);
-            let Ok(chain) = impairment.path.build("impair", seed) else { return };
+            let Ok(chain) = impairment.path.build(LABEL, seed) else { return };
             links.insert(destination, Link::new(chain, u64::MAX));
             self.count.store(links.len(), Ordering::Relaxed);
         }

@@ -5,6 +5,7 @@ use std::{sync::Arc, time::Duration};
 use quinn::{IdleTimeout, TransportConfig, VarInt};
 
 use super::{media_streams::MEDIA_STREAMS, scheme::Scheme};
+use crate::congestion::CongestionControl;
 
 /// Bytes of datagrams that wait in the transport: two, so that the next leaves as soon as congestion control
 /// and pacing let it, and nothing is queued ahead of the scheduler.
@@ -30,6 +31,8 @@ const MOQ_STREAMS: u32 = 1024;
 pub struct ServerLimits {
     /// Viewers at once.
     pub max_viewers: usize,
+    /// Viewers at once from one address; of IPv6 addresses the first 64 bits count.
+    pub max_viewers_per_address: usize,
     /// Media bits per second for each viewer.
     pub max_rate_bps: Option<u64>,
     /// From the end of the handshake to a whole hello.
@@ -41,10 +44,11 @@ pub struct ServerLimits {
 }
 
 impl Default for ServerLimits {
-    /// 100 viewers, no bound on the rate, 5 s for a hello, 10 s of silence, 1 MiB.
+    /// 100 viewers, 32 from one address, no bound on the rate, 5 s for a hello, 10 s of silence, 1 MiB.
     fn default() -> Self {
         Self {
             max_viewers: 100,
+            max_viewers_per_address: 32,
             max_rate_bps: None,
             hello_wait: Duration::from_secs(5),
             idle: Duration::from_secs(10),
@@ -54,7 +58,7 @@ impl Default for ServerLimits {
 }
 
 impl ServerLimits {
-    pub(super) fn transport(&self) -> Arc<TransportConfig> {
+    pub(super) fn transport(&self, congestion: CongestionControl) -> Arc<TransportConfig> {
         let mut config = TransportConfig::default();
         config
             .max_concurrent_bidi_streams(VarInt::from_u32(SESSION_STREAMS))
@@ -63,8 +67,12 @@ impl ServerLimits {
             .receive_window(VarInt::from_u32(CONTROL_WINDOW))
             .send_window(self.viewer_bytes)
             .initial_mtu(INITIAL_MTU)
+            // Packets of media have their size: a wider path would carry the same, and on a slow one each
+            // probe holds them up, by a tenth of a second at 120 kbit/s.
+            .mtu_discovery_config(None)
             .datagram_receive_buffer_size(Some(RECEIVE_BUFFER_BYTES / 16))
             .datagram_send_buffer_size(SEND_BUFFER_BYTES)
+            .congestion_controller_factory(congestion.watched(INITIAL_MTU))
             .max_idle_timeout(idle_timeout(self.idle));
         Arc::new(config)
     }
@@ -92,6 +100,7 @@ pub(super) fn client_transport(silence: Duration, scheme: Scheme, datagrams: boo
         .keep_alive_interval(Some(silence / 3));
     if scheme != Scheme::Moq {
         config
+            .mtu_discovery_config(None)
             .stream_receive_window(VarInt::from_u32(CLIENT_WINDOW))
             .receive_window(VarInt::from_u32(4 * CLIENT_WINDOW));
     }

@@ -1,16 +1,10 @@
 //! Plays what arrives: the decoder of `dgs-player` under the receiver of `emulator-host`, in real time.
 
+mod usable;
+
 use std::time::{Duration, Instant};
 
-use codec_core::{
-    Caps, ErrorKind,
-    internals::{
-        closure::levels_with_symbols,
-        ids::{ClusterId, Level, Span},
-        layout::Shape,
-        limits::MAX_RECEIPT_BYTES,
-    },
-};
+use codec_core::{Caps, ErrorKind, internals::limits::MAX_RECEIPT_BYTES};
 use dgs_player::{Player, Waiting};
 use emulator_host::{
     Nanos,
@@ -18,6 +12,7 @@ use emulator_host::{
 };
 use tokio::sync::watch;
 
+use self::usable::{base, has_come, levels};
 use super::{
     message::{ClientMessage, Conditions, Granted},
     screen::{FrameShown, FrameSink, PlayReport, RoundRequest},
@@ -55,6 +50,8 @@ pub(crate) struct Playback {
     /// First frame of the round, and the time that was wanted.
     first: u32,
     start_us: u64,
+    /// What is before this frame has been shown before this round.
+    resumes_at: u32,
     /// Whether the server says where a round begins.
     grows: bool,
     /// Whether it has said so of this round.
@@ -96,6 +93,7 @@ impl Playback {
             round: 0,
             first: 0,
             start_us: config.start_us,
+            resumes_at: 0,
             grows: false,
             begun: false,
             receiver: MediaReceiver::new(config.startup),
@@ -130,6 +128,8 @@ impl Playback {
     /// The time that the hello asks for, which begins a round now.
     pub(crate) fn start_us(&mut self) -> u64 {
         self.round_began = Instant::now();
+        let handshake = || self.began.elapsed().as_secs_f64() * 1e3;
+        self.report.handshake_ms.get_or_insert_with(handshake);
         self.start_us
     }
 
@@ -142,7 +142,7 @@ impl Playback {
         if round == self.round {
             // Media that was there before the manifest may have been shown: that was not the beginning.
             if self.receiver.playout_start().is_some() {
-                self.begin(round, start_us);
+                self.begin(round, start_us, self.resumes_at);
             }
             self.move_start(start_us);
             self.begun = true;
@@ -183,20 +183,21 @@ impl Playback {
         self.grows
     }
 
-    /// The connection is gone and another is made: playout goes on from the frame that is due.
+    /// The connection is gone and another is made: playout goes on from the frame that is due, whatever
+    /// window it lies in.
     pub(super) fn reconnect(&mut self) {
         self.report.connections += 1;
         self.report.rounds += 1;
         let frame = self.first + self.receiver.next_frame();
         self.anew = false;
-        self.begin(0, time_us(frame, self.interval));
+        self.begin(0, time_us(frame, self.interval), frame);
     }
 
     /// Begins round 0 again under the conditions that are to hold, if any are, as another round: nothing of
     /// it has been shown.
     pub(super) fn begin_under_conditions(&mut self) -> Option<ClientMessage> {
         let conditions = self.conditions?;
-        self.begin(self.round + 1, self.start_us);
+        self.begin(self.round + 1, self.start_us, self.resumes_at);
         Some(self.request(conditions))
     }
 
@@ -206,7 +207,7 @@ impl Playback {
     /// What arrived before cannot be forgotten, for want of memory.
     pub(crate) fn next_round(&mut self, wish: RoundRequest) -> Result<ClientMessage, PlayError> {
         self.report.rounds += 1;
-        self.begin(self.round + 1, wish.start_us);
+        self.begin(self.round + 1, wish.start_us, 0);
         self.round_began = Instant::now();
         Ok(match wish.conditions {
             Some(conditions) => self.request(conditions),
@@ -261,8 +262,9 @@ impl Playback {
         Ok(())
     }
 
-    fn begin(&mut self, round: u32, start_us: u64) {
+    fn begin(&mut self, round: u32, start_us: u64, resumes_at: u32) {
         (self.round, self.start_us, self.begun) = (round, start_us, false);
+        self.resumes_at = resumes_at;
         self.receiver = MediaReceiver::new(self.startup);
         self.set_clip();
     }
@@ -273,6 +275,7 @@ impl Playback {
         let frames = player.info().frames;
         self.first = start_before(&self.starts, frame_at(self.start_us, self.interval));
         self.receiver.on_clip(frames - self.first, self.interval);
+        self.receiver.skip_to(self.resumes_at.saturating_sub(self.first));
     }
 
     /// The manifest has come, for the first time or again.
@@ -362,8 +365,7 @@ impl Playback {
             && let Some(at) = self.receiver.frame_due(self.now())
         {
             let frame = self.first + at;
-            let due = self.receiver.playout_start().unwrap_or(now) + self.interval.times(u64::from(at));
-            let late_ms = (self.now() - due).as_ms();
+            let late_ms = (self.now() - self.receiver.due(at).unwrap_or(now)).as_ms();
             let Some(player) = &mut self.player else { return Ok(()) };
             let usable = player.usable(frame).unwrap_or_default();
             let shown = FrameShown {
@@ -457,42 +459,4 @@ fn share(startup: Startup) -> Option<f64> {
         StartupRule::BaseGroups(share) | StartupRule::BaseUtility(share) => Some(share),
         StartupRule::AfterWait => None,
     }
-}
-
-/// Share of the blocks of a frame whose base is usable: their attributes, and their motion where the frame
-/// lies in a window.
-fn base(player: &Player, frame: u32) -> f64 {
-    let usable = player.usable(frame).unwrap_or_default();
-    let moves = player.manifest().window_at(frame).is_some();
-    let base = if moves { usable.motion[0] } else { usable.canonical[0] };
-    f64::from(base) / f64::from(usable.blocks.max(1))
-}
-
-/// Whether any base that is coded has come of the window of `frame`, or of its epoch where it lies in none.
-/// Blocks of which nothing is coded, because they stand still, say nothing of that.
-fn has_come(player: &Player, frame: u32) -> bool {
-    let (content, manifest) = (player.content(), player.manifest());
-    let window = manifest.window_at(frame).map(Span::Motion);
-    let Some(span) = window.or_else(|| manifest.epoch_at(frame).map(Span::Canonical)) else { return true };
-    let mut is_coded = false;
-    for cluster in (0..manifest.clusters_of(span).unwrap_or(0)).map(|cluster| ClusterId(cluster as u16)) {
-        let (Ok(shape), Ok(cell)) =
-            (Shape::in_lattice(manifest, span, cluster), content.cell_in_lattice(span, cluster))
-        else {
-            continue;
-        };
-        if levels_with_symbols(&shape).has(Level::BASE) {
-            is_coded = true;
-            let has = |block| content.arrived(cell, block).is_ok_and(|arrived| arrived.has(Level::BASE));
-            if (0..shape.blocks()).any(has) {
-                return true;
-            }
-        }
-    }
-    !is_coded
-}
-
-/// Mean level count.
-fn levels(usable: &[u32], blocks: u32) -> f64 {
-    usable.iter().map(|count| f64::from(*count)).sum::<f64>() / f64::from(blocks.max(1))
 }

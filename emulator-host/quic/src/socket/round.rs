@@ -79,11 +79,13 @@ impl Arrivals {
     }
 }
 
-/// What is known of the path, with `in_flight` bytes of media out and `arrived` known to have arrived.
-fn facts(carrier: &SessionTransport, arrived: u64, in_flight: u64, estimate: Option<Rate>) -> PathFacts {
+/// What is known of the path, with `media` bytes out and `arrived` known to have arrived.
+fn facts(carrier: &SessionTransport, arrived: u64, media: u64, estimate: Option<Rate>) -> PathFacts {
     let path = carrier.path(arrived);
     let nanos = |span: Duration| Nanos(u64::try_from(span.as_nanos()).unwrap_or(u64::MAX));
     let (smoothed_rtt, minimum_rtt) = (nanos(path.rtt), nanos(path.least_rtt));
+    let newest = path.newest_rtt.map_or(Nanos::ZERO, nanos);
+    let smoothed_rtt = PathFacts::expected_round_trip(smoothed_rtt, newest);
     let window = Rate::over(Volume(path.window_bytes), smoothed_rtt.max(Nanos::from_us(100)));
     PathFacts {
         rate: estimate.map_or(window, |estimate| estimate.min(window)),
@@ -92,7 +94,8 @@ fn facts(carrier: &SessionTransport, arrived: u64, in_flight: u64, estimate: Opt
         // can be varies.
         rtt_variation: Nanos((smoothed_rtt - minimum_rtt).0 / 2).max(Nanos::from_ms(1)),
         minimum_rtt,
-        in_flight,
+        // The manifest, too, waits in the queue that media are not to lengthen.
+        in_flight: path.in_flight.map_or(media, |all| all.max(media)),
         datagram_bytes: path.datagram_bytes,
     }
 }
@@ -156,7 +159,7 @@ impl Round {
             graph.packets_in(id, id).next()
         });
         self.sender.on_receipt(&self.playout);
-        let path = PathFacts { in_flight: self.outstanding.bytes(), ..path };
+        let path = facts(carrier, arrived, self.outstanding.bytes(), self.arrivals.estimate());
         self.sender.look(path, self.now());
         self.sender.set_reported_pose(reported_pose);
         Ok(())
@@ -233,10 +236,14 @@ impl Round {
     }
 
     /// A packet has left.
-    pub(super) fn on_sent(&mut self, packet: PacketIndex) {
+    pub(super) fn on_sent(&mut self, packet: PacketIndex, carrier: &SessionTransport) {
         let now = self.now();
         self.outstanding.on_sent(&mut self.sender, packet, now);
-        self.sender.on_datagram_sent(self.outstanding.bytes(), now);
+        let media = self.outstanding.bytes();
+        // What the transport has taken may not have left.
+        let bytes = u64::from(self.graph.packets()[packet.at()].wire_bytes);
+        let all = carrier.path(0).in_flight.map_or(media, |all| (all + bytes).max(media));
+        self.sender.on_datagram_sent(all, now);
     }
 
     /// When there may be something to send, or something is lost, without news.

@@ -79,7 +79,9 @@ pub struct FrameShown {
 pub struct PlayReport {
     /// Frames of the clip.
     pub frames: u32,
-    /// From the first hello to the first frame, milliseconds.
+    /// From the first packet of the handshake to the hello, milliseconds.
+    pub handshake_ms: Option<f64>,
+    /// From the first packet of the handshake to the first frame, milliseconds.
     pub startup_ms: Option<f64>,
     /// Whether playout started for enough was there, and not because the wait was over.
     pub startup_reached: bool,

@@ -12,7 +12,9 @@ use std::{
 };
 
 use emulator_host::{PolicyKind, link::PathError};
-use quinn::{Endpoint, EndpointConfig, Incoming, Runtime as _, TokioRuntime, VarInt};
+use quinn::{AsyncUdpSocket, Endpoint, EndpointConfig, Incoming, Runtime as _, TokioRuntime, VarInt};
+use quinn_proto::HashedConnectionIdGenerator;
+use ring::hmac;
 use serde::Serialize;
 use tokio::{
     sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch},
@@ -28,13 +30,18 @@ use super::{
     impair::{ImpairedSocket, Impairment, Links},
     limits::ServerLimits,
     message::{Refusal, RefusalCode, StreamChoice},
+    per_address::{PerAddress, Place},
     served_stream::{ServedStream, ServedStreamError},
+    strays::{CountingSocket, Strays, VERSION},
     viewer::{End, Session, ViewerReport, end_session},
     web_socket_acceptor::{AcceptedWebSocket, WebSocketAcceptor},
 };
+use crate::congestion::CongestionControl;
 
 /// Connections beyond the viewers: those that are shaking hands, and those that are being refused.
 const SPARE_CONNECTIONS: usize = 16;
+/// The same of one address.
+const SPARE_PER_ADDRESS: usize = 4;
 /// Bytes of connections that wait to be accepted, each and together.
 const INCOMING_BYTES: (u64, u64) = (8 << 10, 1 << 20);
 /// How long viewers may take to leave when the server closes.
@@ -51,6 +58,8 @@ pub struct ServerConfig {
     pub limits: ServerLimits,
     /// The scheduler of every viewer.
     pub policy: PolicyKind,
+    /// What governs how much is on its way to each viewer by QUIC; to one by WebSocket, TCP does.
+    pub congestion: CongestionControl,
     /// A link to put before every viewer.
     pub impairment: Option<Impairment>,
     /// Whether viewers may change the scheduler and the link of their own sessions.
@@ -89,10 +98,12 @@ pub struct ServerReport {
     pub viewers: u64,
     /// Handshakes that failed.
     pub failed_handshakes: u64,
-    /// Connections turned away before a handshake, for there were too many.
+    /// Connections turned away before a handshake, for there were too many, or too many from their address.
     pub turned_away: u64,
     /// Connections that had to show first that their address is theirs.
     pub retried: u64,
+    /// Datagrams that were no QUIC, or of a version or for connections that never were.
+    pub stray_datagrams: u64,
     /// Refusals by code, before a session or in one.
     pub refused: BTreeMap<String, u64>,
 }
@@ -103,6 +114,9 @@ pub struct Server {
     endpoint: Endpoint,
     shared: Arc<Shared>,
     pin: Pin,
+    strays: Arc<Strays>,
+    /// Connections, whatever is said on them.
+    connections: Arc<PerAddress>,
     entrance: WebSocketAcceptor,
     entering: mpsc::Receiver<AcceptedWebSocket>,
     ended: mpsc::UnboundedReceiver<Ended>,
@@ -118,6 +132,7 @@ struct Shared {
     /// Where viewers' own links are; `None` where they may not change any.
     links: Option<Arc<Links>>,
     slots: Arc<Semaphore>,
+    viewers: Arc<PerAddress>,
     failed_handshakes: AtomicU64,
     ended: mpsc::UnboundedSender<Ended>,
     stopping: watch::Receiver<bool>,
@@ -144,32 +159,45 @@ impl Server {
                 return Err(ServedStreamError::Twice { name: offer.name().to_owned() }.into());
             }
         }
-        let ServerConfig { bind, identity, limits, policy, impairment, viewer_conditions } = config;
+        let ServerConfig { bind, identity, limits, policy, congestion, impairment, viewer_conditions } =
+            config;
         let pin = identity.pin();
+        let ids =
+            u64::from_le_bytes(*identity.secret(b"dgs connection ids").first_chunk().unwrap_or(&[0; 8]));
+        // A client whose server was killed and is back hears at once that its connection is gone.
+        let resets = hmac::Key::new(hmac::HMAC_SHA256, &identity.secret(b"dgs stateless reset"));
         let mut server = quinn::ServerConfig::with_crypto(Arc::new(identity.server()?));
         server
-            .transport_config(limits.transport())
+            .transport_config(limits.transport(congestion))
             .max_incoming(limits.max_viewers + SPARE_CONNECTIONS)
             .incoming_buffer_size(INCOMING_BYTES.0)
             .incoming_buffer_size_total(INCOMING_BYTES.1);
         let failed = |error| ServerError::Bind { address: bind, error };
         let socket = UdpSocket::bind(bind).map_err(failed)?;
         let runtime = Arc::new(TokioRuntime);
-        let mut socket = runtime.wrap_udp_socket(socket).map_err(failed)?;
+        let strays = Arc::new(Strays::new(ids));
+        let socket = runtime.wrap_udp_socket(socket).map_err(failed)?;
+        let mut socket: Arc<dyn AsyncUdpSocket> = Arc::new(CountingSocket::new(socket, strays.clone()));
         let mut links = None;
         if impairment.is_some() || viewer_conditions {
             let impaired = ImpairedSocket::new(socket, impairment)?;
             links = viewer_conditions.then(|| impaired.links());
             socket = Arc::new(impaired);
         }
-        let endpoint =
-            Endpoint::new_with_abstract_socket(EndpointConfig::default(), Some(server), socket, runtime)
-                .map_err(failed)?;
+        let mut endpoint = EndpointConfig::new(Arc::new(resets));
+        endpoint
+            .cid_generator(move || Box::new(HashedConnectionIdGenerator::from_key(ids)))
+            .supported_versions(vec![VERSION])
+            // So that what lacks the bit is no QUIC.
+            .grease_quic_bit(false);
+        let endpoint = Endpoint::new_with_abstract_socket(endpoint, Some(server), socket, runtime);
+        let endpoint = endpoint.map_err(failed)?;
         let (ended_sender, ended) = mpsc::unbounded_channel();
         let (stop, stopping) = watch::channel(false);
         let shared = Arc::new(Shared {
             offers: offers.into_iter().map(Arc::new).collect(),
             slots: Arc::new(Semaphore::new(limits.max_viewers)),
+            viewers: PerAddress::new(limits.max_viewers_per_address),
             limits,
             policy,
             links,
@@ -178,7 +206,8 @@ impl Server {
             stopping,
         });
         let (entrance, entering) = WebSocketAcceptor::new(shared.limits.max_viewers + SPARE_CONNECTIONS);
-        Ok(Self { endpoint, shared, pin, entrance, entering, ended, stop })
+        let connections = PerAddress::new(shared.limits.max_viewers_per_address + SPARE_PER_ADDRESS);
+        Ok(Self { endpoint, shared, pin, strays, connections, entrance, entering, ended, stop })
     }
 
     /// Where it listens.
@@ -241,24 +270,34 @@ impl Server {
         self.endpoint.close(code(RefusalCode::Closing), b"the server is closing");
         let _ = timeout(CLOSE_TIMEOUT, self.endpoint.wait_idle()).await;
         report.failed_handshakes = self.shared.failed_handshakes.load(Ordering::Relaxed);
+        report.stray_datagrams = self.strays.count();
         report
     }
 
     /// Takes a connection on, or has it prove its address, or turns it away.
     fn admit(&self, incoming: Incoming, tasks: &mut JoinSet<()>, report: &mut ServerReport) {
-        let (open, most) = (self.endpoint.open_connections(), self.shared.limits.max_viewers);
-        if open >= most + SPARE_CONNECTIONS {
+        let limits = &self.shared.limits;
+        let (open, address) = (self.endpoint.open_connections(), incoming.remote_address().ip());
+        let crowded = open >= limits.max_viewers.div_ceil(2)
+            || self.connections.count(address) >= limits.max_viewers_per_address.div_ceil(2);
+        if open >= limits.max_viewers + SPARE_CONNECTIONS {
             report.turned_away += 1;
             incoming.refuse();
-        } else if open >= most.div_ceil(2) && !incoming.remote_address_validated() && incoming.may_retry() {
+        } else if crowded && !incoming.remote_address_validated() && incoming.may_retry() {
             report.retried += 1;
             // Whoever cannot retry after all is not there.
             let _ = incoming.retry();
+        } else if let Some(place) = self.connections.take(address) {
+            tasks.spawn(serve(incoming, self.shared.clone(), place));
         } else {
-            tasks.spawn(serve(incoming, self.shared.clone()));
+            report.turned_away += 1;
+            incoming.refuse();
         }
     }
 }
+
+/// A viewer's place among all, and among those of its address.
+type Seat = (OwnedSemaphorePermit, Place);
 
 fn code(code: RefusalCode) -> VarInt {
     u32::from(code.number()).into()
@@ -277,7 +316,7 @@ impl ServerReport {
 }
 
 /// One connection from its first packet to its last.
-async fn serve(incoming: Incoming, shared: Arc<Shared>) {
+async fn serve(incoming: Incoming, shared: Arc<Shared>, _place: Place) {
     let connection = match incoming.accept() {
         Ok(connecting) => timeout(shared.limits.idle, connecting).await.ok().and_then(Result::ok),
         Err(_) => None,
@@ -312,12 +351,12 @@ async fn attend(opening: impl Future<Output = Result<Opened, Closed>>, shared: &
         }
     };
     let (viewer, end) = match greeted.and_then(|greeting| shared.greet(greeting)) {
-        Ok((greeting, offer, slot)) => {
+        Ok((greeting, offer, seat)) => {
             let Greeting { carrier, ending, send, control, start_us, .. } = greeting;
             let (limits, policy, links) = (shared.limits.clone(), shared.policy, shared.links.clone());
             let session = Session { carrier, ending, send, control, offer, limits, policy, links, stopping };
             let (viewer, end) = session.run(start_us).await;
-            drop(slot);
+            drop(seat);
             (Some(viewer), end)
         }
         Err(NoSession { end, opened: Some((ending, send)) }) => {
@@ -340,10 +379,7 @@ async fn attend(opening: impl Future<Output = Result<Opened, Closed>>, shared: &
 
 impl Shared {
     /// The stream that is wanted, and a place to watch it.
-    fn greet(
-        &self,
-        greeting: Greeting,
-    ) -> Result<(Greeting, Arc<ServedStream>, OwnedSemaphorePermit), NoSession> {
+    fn greet(&self, greeting: Greeting) -> Result<(Greeting, Arc<ServedStream>, Seat), NoSession> {
         let offer = match &greeting.stream {
             StreamChoice::Name(name) => self.offers.iter().find(|offer| offer.name() == name),
             StreamChoice::Index(index) => self.offers.get(usize::from(*index)),
@@ -357,8 +393,14 @@ impl Shared {
             let sentence = format!("there is no stream {wanted}; there are {}", names.join(", "));
             return Err(greeting.refused(RefusalCode::UnknownStream, sentence));
         };
+        let address = greeting.carrier.address().ip();
+        let Some(place) = self.viewers.take(address) else {
+            let most = self.limits.max_viewers_per_address;
+            let sentence = format!("all {most} places for viewers from {address} are taken");
+            return Err(greeting.refused(RefusalCode::Full, sentence));
+        };
         match self.slots.clone().try_acquire_owned() {
-            Ok(slot) => Ok((greeting, offer.clone(), slot)),
+            Ok(slot) => Ok((greeting, offer.clone(), (slot, place))),
             Err(_) => {
                 let sentence = format!("all {} places are taken", self.limits.max_viewers);
                 Err(greeting.refused(RefusalCode::Full, sentence))

@@ -3,7 +3,10 @@
 mod browser;
 mod clients;
 mod conditions;
+mod controllers;
 mod live;
+#[cfg(feature = "moq")]
+mod relay;
 mod servers;
 mod streams;
 mod web;
@@ -29,6 +32,7 @@ use super::{
     Scheme, ServedStream, Server, ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport,
     WebSocketAcceptor, limits::client_transport, message::StreamChoice, play,
 };
+use crate::CongestionControl;
 
 /// A small stream of a few frames.
 fn stream() -> Stream {
@@ -98,7 +102,9 @@ impl Running {
     fn letting(viewer_conditions: bool, limits: ServerLimits, offer: ServedStream) -> Self {
         let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
         let (bind, policy) = ((Ipv4Addr::LOCALHOST, 0).into(), PolicyKind::Layered);
-        let config = ServerConfig { bind, identity, limits, policy, impairment: None, viewer_conditions };
+        let congestion = CongestionControl::default();
+        let config =
+            ServerConfig { bind, identity, limits, policy, congestion, impairment: None, viewer_conditions };
         let server = Server::bind(config, vec![offer]).unwrap();
         let entrance = server.entrance();
         let (address, trust) = (server.local_addr().unwrap(), Trust::Pin(server.pin()));

@@ -98,6 +98,7 @@ struct Viewer<'s> {
     seeks: Allowance,
     /// Bytes that had left when the manifest was written, and how many more must before media may.
     manifest: (u64, u64),
+    manifest_left: bool,
     heard_at: Instant,
 }
 
@@ -204,6 +205,7 @@ impl<'s> Viewer<'s> {
             datagrams: Allowance::new(SPARE_DATAGRAMS.0, SPARE_DATAGRAMS.1),
             seeks: Allowance::new(SEEKS.0, SEEKS.1),
             manifest: (0, 0),
+            manifest_left: false,
             heard_at: began,
         })
     }
@@ -282,6 +284,10 @@ impl<'s> Viewer<'s> {
     fn may_send(&mut self) -> bool {
         let (before, bytes) = self.manifest;
         let left = self.carrier.sent_bytes() - before >= bytes;
+        if left && !std::mem::replace(&mut self.manifest_left, true) {
+            // It counts against the queue that media may cause.
+            self.round.settle(self.carrier);
+        }
         let early = self.tally.receipts > 0 || self.tally.packets < EARLY_PACKETS;
         let now = self.began.elapsed();
         let widest = super::served_stream::MAX_MEDIA_BYTES as f64;
@@ -309,7 +315,7 @@ impl<'s> Viewer<'s> {
         self.datagrams.add(1.0);
         // A seek may have begun another round meanwhile, or the stream may have grown.
         if left.round == (self.round.number, self.renewals) {
-            self.round.on_sent(left.packet);
+            self.round.on_sent(left.packet, self.carrier);
         }
     }
 
@@ -393,6 +399,9 @@ impl<'s> Viewer<'s> {
         let link = !conditions.keeps_link
             && self.carrier.is_impaired_by_links()
             && links.set(self.carrier.address(), impairment.as_ref());
+        if link {
+            self.carrier.forget_least_rtt();
+        }
         Granted { link, scheduler: true }
     }
 

@@ -129,7 +129,14 @@ impl SocketChannel {
         let known = *self.measured.rtt.lock().unwrap_or_else(PoisonError::into_inner);
         let (rtt, least_rtt) = known.unwrap_or((FIRST_RTT, FIRST_RTT));
         let window_bytes = FIRST_WINDOW.saturating_add(arrived);
-        Path { rtt, least_rtt, window_bytes, datagram_bytes: DATAGRAM_BYTES }
+        Path {
+            rtt,
+            least_rtt,
+            newest_rtt: None,
+            in_flight: None,
+            window_bytes,
+            datagram_bytes: DATAGRAM_BYTES,
+        }
     }
 
     /// Becomes ready once the datagram is the next that is written.

@@ -10,11 +10,10 @@ use std::{
 };
 
 use bytes::BytesMut;
-use emulator_host::{ControllerKind, Nanos, congestion, rng};
+use emulator_host::{ControllerKind, Nanos, rng};
 use quinn_proto::{
     ClientConfig, Connection, ConnectionHandle, ConnectionId, ConnectionIdGenerator, DatagramEvent, Endpoint,
     EndpointConfig, ServerConfig, TransportConfig, ValidationTokenConfig,
-    congestion::{ControllerFactory, CubicConfig, NewRenoConfig},
 };
 
 use super::{
@@ -23,6 +22,7 @@ use super::{
     observer::{Watch, Watched},
     tls::{self, Tls},
 };
+use crate::congestion::{CongestionControl, Factory};
 
 /// Bytes of a connection id.
 const ID_BYTES: usize = 8;
@@ -65,7 +65,7 @@ impl End {
         clock: Clock,
         seed: u64,
         datagram_bytes: u16,
-        controller: Arc<dyn ControllerFactory + Send + Sync>,
+        controller: Factory,
         watch: Watch,
     ) -> Result<Self, VirtualError> {
         let Tls { server, .. } = tls::shared()?;
@@ -182,29 +182,14 @@ impl End {
     }
 }
 
-/// The transport's own controller of this kind, with the initial window of the model.
-pub(super) fn controller(
-    kind: ControllerKind,
-    datagram_bytes: u16,
-) -> Result<Arc<dyn ControllerFactory + Send + Sync>, VirtualError> {
-    let window = congestion::initial_window(u64::from(datagram_bytes));
-    match kind {
-        ControllerKind::NewReno => {
-            let mut reno = NewRenoConfig::default();
-            reno.initial_window(window);
-            Ok(Arc::new(reno))
-        }
-        ControllerKind::Cubic => {
-            let mut cubic = CubicConfig::default();
-            cubic.initial_window(window);
-            Ok(Arc::new(cubic))
-        }
-        ControllerKind::BbrModel | ControllerKind::Scream => Err(VirtualError::Unsupported {
-            field: "controller",
-            found: kind.name().to_owned(),
-            allowed: "newreno or cubic",
-        }),
-    }
+/// What stands for this controller over the transport.
+pub(super) fn controller(kind: ControllerKind, datagram_bytes: u16) -> Result<Factory, VirtualError> {
+    let control = CongestionControl::of(kind).ok_or_else(|| VirtualError::Unsupported {
+        field: "controller",
+        found: kind.name().to_owned(),
+        allowed: "newreno, cubic or scream",
+    })?;
+    Ok(control.factory(datagram_bytes))
 }
 
 fn address(host: u8) -> SocketAddr {

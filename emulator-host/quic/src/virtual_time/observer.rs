@@ -17,6 +17,7 @@ use quinn_proto::{
 };
 
 use super::clock::Clock;
+use crate::congestion::Factory;
 
 /// Time for which an unacknowledged packet is remembered.
 const MEMORY: Nanos = Nanos::from_s(10);
@@ -172,7 +173,7 @@ impl Watch {
 
 /// Builds controllers that are watched.
 pub(super) struct Watched {
-    pub(super) inner: Arc<dyn ControllerFactory + Send + Sync>,
+    pub(super) inner: Factory,
     pub(super) watch: Watch,
 }
 

@@ -1,6 +1,6 @@
 //! Compares the model of QUIC with `quinn-proto` in virtual time: what comes through, how late, how fast.
 
-mod pairing;
+pub(super) mod pairing;
 mod paths;
 
 use anyhow::Result;

@@ -4,7 +4,7 @@
 mod first_image;
 mod overload;
 mod relay;
-mod serving;
+pub(super) mod serving;
 
 use std::time::{Duration, Instant};
 
@@ -143,7 +143,11 @@ fn measure(sizes: &Sizes, quiet: Quiet) -> Result<Measured> {
     let threads = |name: &str| Builder::new_multi_thread().enable_all().thread_name(name).build();
     let (server_side, client_side) = (threads(THREADS)?, threads("dgs-bench-play")?);
     let rate = Some((RATE_BPS / sizes.viewers as f64) as u64);
-    let serving = Serving::start(&server_side, offer, sizes.viewers, rate, None)?;
+    let serving = Serving::start(&server_side, offer, |config| {
+        let limits = &mut config.limits;
+        (limits.max_viewers, limits.max_viewers_per_address) = (sizes.viewers, sizes.viewers);
+        limits.max_rate_bps = rate;
+    })?;
     let before = (resident_bytes(), thread_seconds(THREADS));
     let start = Instant::now();
     let (played, bytes) = watch(&client_side, &serving.client, sizes.viewers)?;

@@ -1,5 +1,6 @@
 //! Prints what schedulers deliver: over measured traces, beside the best that was possible, and in pictures.
 
+mod ablations;
 pub(super) mod channels;
 mod controllers;
 mod optimum;
@@ -7,6 +8,7 @@ mod paired;
 mod pictures;
 mod schedulers;
 mod viewport;
+mod watched;
 
 use anyhow::Result;
 
@@ -15,6 +17,7 @@ use crate::{figures::Bench, setup::Setup};
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
     let parts = [
+        ablations::PROTOCOL.to_owned(),
         controllers::protocol(setup),
         optimum::protocol(setup),
         pictures::protocol(setup),

@@ -126,17 +126,24 @@ fn floods_end_the_session_and_are_counted() {
 }
 
 #[test]
-fn datagrams_that_are_no_quic_change_nothing() {
+fn datagrams_that_are_no_quic_change_nothing_and_are_counted() {
     within(async {
         let server = Running::start(ServerLimits::default());
         let socket = std::net::UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
-        for len in 0..1400usize {
+        let most = 1400;
+        for len in 0..most {
             let bytes: Vec<u8> = (0..len).map(|at| (at * 31 + len * 17) as u8).collect();
             socket.send_to(&bytes, server.address).unwrap();
+            // So that none is lost before the server takes it.
+            if len % 50 == 0 {
+                tokio::time::sleep(Duration::from_millis(2)).await;
+            }
         }
         server.shows_every_frame().await;
         let (report, _) = server.stop().await;
         assert_eq!(report.viewers, 1);
+        // What an honest viewer sends is none of them.
+        assert!((most as u64 - 5..=most as u64).contains(&report.stray_datagrams), "{report:?}");
     });
 }
 
@@ -169,6 +176,39 @@ fn a_client_that_is_killed_frees_its_place() {
         // On a busy machine one more may be silent for so long.
         assert!(report.viewers >= 2, "{viewers:?}");
         assert!(viewers[0].end.contains("timed out") || viewers[0].end.contains("nothing was heard"));
+    });
+}
+
+#[test]
+fn one_address_takes_only_its_own_places_and_who_is_there_stays() {
+    within(async {
+        let limits = ServerLimits { max_viewers_per_address: 2, ..ServerLimits::default() };
+        let server = Running::start(limits);
+        let mut watching = Vec::new();
+        for _ in 0..2 {
+            let (endpoint, connection) = server.connect().await;
+            let (mut send, mut receive) = connection.open_bi().await.unwrap();
+            send.write_all(&hello()).await.unwrap();
+            // Once the manifest comes the place is taken.
+            receive.read_chunk(100, true).await.unwrap();
+            watching.push((endpoint, connection, send, receive));
+        }
+        let error = server.play().await.unwrap_err().to_string();
+        assert!(error.contains("all 2 places for viewers from 127.0.0.1 are taken"), "{error}");
+        // Connections on which nothing is said hold no more than a few besides.
+        let mut silent = Vec::new();
+        for _ in 0..4 {
+            silent.push(server.connect().await);
+        }
+        let error = server.play().await.unwrap_err().to_string();
+        assert!(error.contains("no room for another connection"), "{error}");
+        assert!(watching.iter().all(|(_, connection, ..)| connection.close_reason().is_none()));
+        drop((watching, silent));
+        while server.play().await.is_err() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        let (report, _) = server.stop().await;
+        assert!(refusals(&report, RefusalCode::Full) >= 1 && report.turned_away >= 1, "{report:?}");
     });
 }
 

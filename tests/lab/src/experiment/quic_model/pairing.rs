@@ -77,10 +77,21 @@ impl Load {
     }
 }
 
-/// A receiver that notes when each packet arrived first.
-struct Noting<'a> {
+/// A receiver that notes when each packet arrived first, and how many arrived in all.
+pub struct Noting<'a> {
     inner: GraphReceiver<'a>,
-    arrived: Vec<Option<Nanos>>,
+    /// By packet.
+    pub arrived: Vec<Option<Nanos>>,
+    /// Arrivals, repeats included.
+    pub arrivals: u64,
+}
+
+impl<'a> Noting<'a> {
+    /// Nothing has arrived; up to `buffer_limit` packets are kept before the manifest is there.
+    pub fn new(graph: &'a PacketGraph, buffer_limit: usize) -> Self {
+        let inner = GraphReceiver::new(graph, buffer_limit);
+        Self { inner, arrived: vec![None; graph.packets().len()], arrivals: 0 }
+    }
 }
 
 impl Endpoint for Noting<'_> {
@@ -90,6 +101,7 @@ impl Endpoint for Noting<'_> {
 
     fn media(&mut self, packet: PacketIndex, now: Nanos, recovered: &mut Vec<PacketIndex>) -> Arrival {
         self.arrived[packet.at()].get_or_insert(now);
+        self.arrivals += 1;
         self.inner.media(packet, now, recovered)
     }
 
@@ -103,8 +115,7 @@ impl Endpoint for Noting<'_> {
 pub struct Seen {
     /// Media bits that arrived, per second.
     pub goodput: f64,
-    /// 95th percentile over the frames of the time from when a frame may be sent until the last of it that
-    /// arrives at all is there; one whose base never comes counts as arriving when it is shown. Milliseconds.
+    /// As [`frame_latency_ms`].
     pub late_ms: f64,
 }
 
@@ -138,18 +149,29 @@ fn see(
     config: &SessionConfig,
     run: impl FnOnce(&mut dyn emulator_host::Scheduler, &mut dyn Endpoint) -> Result<Report>,
 ) -> Result<Seen> {
-    let inner = GraphReceiver::new(graph, config.buffer_limit);
-    let mut endpoint = Noting { inner, arrived: vec![None; graph.packets().len()] };
+    let mut endpoint = Noting::new(graph, config.buffer_limit);
     let report = run(&mut *config.policy.build(graph), &mut endpoint)?;
-    let late_ms = late_ms(graph, config, &endpoint.arrived);
+    let late_ms = frame_latency_ms(graph, (config.startup.max_wait, config.lookahead), &endpoint.arrived);
     Ok(Seen { goodput: report.goodput_bps, late_ms })
 }
 
-fn late_ms(graph: &PacketGraph, config: &SessionConfig, arrived: &[Option<Nanos>]) -> f64 {
-    let mut last = vec![(Nanos::ZERO, false); graph.frames() as usize];
+/// 95th percentile, over the frames from which on packets are needed, parity aside, of the time from when a
+/// frame may be sent, `lookahead` before it is shown, until the last of it that arrives at all is there;
+/// one whose base never comes counts as arriving when it is shown. Frame 0 is shown at `start`.
+/// Milliseconds.
+pub fn frame_latency_ms(
+    graph: &PacketGraph,
+    (start, lookahead): (Nanos, Nanos),
+    arrived: &[Option<Nanos>],
+) -> f64 {
+    let mut last = vec![None::<(Nanos, bool)>; graph.frames() as usize];
     for (at, arrival) in (0u32..).zip(arrived) {
         let packet = PacketIndex(at);
-        let Some((latest, lacks_base)) = last.get_mut(graph.needed_from(packet) as usize) else { continue };
+        if graph.packets()[packet.at()].parity_of.is_some() {
+            continue;
+        }
+        let Some(last) = last.get_mut(graph.needed_from(packet) as usize) else { continue };
+        let (latest, lacks_base) = last.get_or_insert_default();
         match arrival {
             Some(arrival) => *latest = (*latest).max(*arrival),
             None => *lacks_base |= graph.level(packet) == 0,
@@ -157,10 +179,11 @@ fn late_ms(graph: &PacketGraph, config: &SessionConfig, arrived: &[Option<Nanos>
     }
     let mut late: Vec<f64> = (0u64..)
         .zip(last)
+        .filter_map(|(frame, last)| Some((frame, last?)))
         .map(|(frame, (latest, lacks_base))| {
-            let shown = config.startup.max_wait + graph.frame_interval().times(frame);
+            let shown = start + graph.frame_interval().times(frame);
             let there = if lacks_base { shown } else { latest };
-            (there - (shown - config.lookahead)).as_ms()
+            (there - (shown - lookahead)).as_ms()
         })
         .collect();
     late.sort_by(f64::total_cmp);

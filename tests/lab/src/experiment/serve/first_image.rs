@@ -41,7 +41,8 @@ pub fn run(bench: &mut Bench, viewers: usize, quiet: Quiet) -> Result<()> {
         ..PathConfig::default()
     };
     let runtime = Runtime::new()?;
-    let serving = Serving::start(&runtime, offer, viewers, None, Some(Impairment { path, seed: 1 }))?;
+    let impairment = Some(Impairment { path, seed: 1 });
+    let serving = Serving::start(&runtime, offer, |config| config.impairment = impairment)?;
     let (mut waits, mut reached) = (Vec::new(), 0);
     for _ in 0..viewers {
         let duration = Some(std::time::Duration::from_secs(3));

@@ -3,9 +3,12 @@
 use std::net::Ipv4Addr;
 
 use anyhow::{Context, Result, bail};
-use dgs_quic::socket::{
-    ClientConfig, Identity, Impairment, Locator, Scheme, ServedStream, Server, ServerConfig, ServerLimits,
-    ServerReport, Trust, ViewerReport, message::StreamChoice,
+use dgs_quic::{
+    CongestionControl,
+    socket::{
+        ClientConfig, Identity, Locator, Scheme, ServedStream, Server, ServerConfig, ServerLimits,
+        ServerReport, Trust, ViewerReport, message::StreamChoice,
+    },
 };
 use emulator_host::PolicyKind;
 use tokio::{runtime::Runtime, sync::oneshot, task::JoinHandle};
@@ -19,22 +22,22 @@ pub struct Serving {
 }
 
 impl Serving {
-    /// Starts it on `runtime`.
+    /// Starts it on `runtime`, with what `change` makes of the defaults.
     pub fn start(
         runtime: &Runtime,
         offer: ServedStream,
-        max_viewers: usize,
-        max_rate_bps: Option<u64>,
-        impairment: Option<Impairment>,
+        change: impl FnOnce(&mut ServerConfig),
     ) -> Result<Self> {
-        let config = ServerConfig {
+        let mut config = ServerConfig {
             bind: (Ipv4Addr::LOCALHOST, 0).into(),
             identity: Identity::self_signed(&["localhost".to_owned()])?,
-            limits: ServerLimits { max_viewers, max_rate_bps, ..ServerLimits::default() },
+            limits: ServerLimits::default(),
             policy: PolicyKind::DeadlineUtility,
-            impairment,
+            congestion: CongestionControl::default(),
+            impairment: None,
             viewer_conditions: false,
         };
+        change(&mut config);
         let server = runtime.block_on(async { Server::bind(config, vec![offer]) })?;
         let locator = Locator {
             scheme: Scheme::Dgs,

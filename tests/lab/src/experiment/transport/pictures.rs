@@ -7,7 +7,7 @@ use dgs::{
 };
 use emulator_host::{PacketGraph, PolicyKind, bound::upper_bound, session::run_ideal};
 use rayon::prelude::*;
-use render_host::{Backend, Camera, Image, Settings, metric};
+use render_host::{Backend, Camera, Image, Settings, metric::Lpips};
 use trainer_host::{
     Scene, Stream,
     encode::Protection,
@@ -17,10 +17,12 @@ use trainer_host::{
 };
 
 use super::{
+    ablations,
     channels::{Channel, MIN_BOUND, start},
     optimum::LIVE,
     paired::{Window, clustered, families, rank_correlation},
     schedulers,
+    watched::{self, Frames, Seen},
 };
 use crate::{
     figures::{Bench, Figure},
@@ -33,16 +35,6 @@ const LAYERED: usize = 4;
 const OURS: usize = 1;
 /// Side of the pictures, pixels.
 const SIDE: u32 = 96;
-
-/// What one run showed.
-#[derive(Clone, Copy, Debug)]
-struct Seen {
-    utility: f64,
-    base_miss: f64,
-    distortion: f64,
-    psnr_db: f64,
-    worst_tenth_db: f64,
-}
 
 /// How much is measured of encoded streams.
 pub(super) struct Size {
@@ -66,9 +58,13 @@ pub(super) fn protocol(setup: &Setup) -> String {
     format!(
         "rows of pictures: encoded streams of {gaussians} Gaussians (figure, {frames} frames; fox) through \
          the real receiver over {windows} windows of every trace, links as for the bound with 1 % loss; D = \
-         MSE + 0.20 (1 - SSIM) and PSNR of {pictures} frames at {SIDE}x{SIDE} from a held-out camera against \
-         the source's own render; rank correlation over all runs of utility with -D; ideal transport: the \
-         same plan where the link is always filled, nothing is lost and its rate is known"
+         MSE + 0.20 (1 - SSIM), PSNR (times the clip's length it is the area over the session), SSIM and, \
+         with --lpips, LPIPS of {pictures} frames at {SIDE}x{SIDE} from a held-out camera against the \
+         source's own render; flicker: change from every fourth of them to the next frame that the source \
+         does not have; playout never waits once it has begun, so that what is missing shows as a freeze: \
+         frames in a row, longer than 150 ms and one, of whose base less than half is there; rank \
+         correlation over all runs of utility with -D; ideal transport: the same plan where the link is \
+         always filled, nothing is lost and its rate is known"
     )
 }
 
@@ -88,8 +84,9 @@ struct Study {
     map: PacketMap,
     graph: PacketGraph,
     camera: Camera,
-    frames: Vec<u32>,
+    frames: Frames,
     references: Vec<Image>,
+    network: Option<Lpips>,
 }
 
 impl Study {
@@ -100,9 +97,11 @@ impl Study {
         let table = schedulers::utilities(scene, &stream, &map, setup)?;
         let graph = pipeline::graph(&stream, &map, Some(&table))?;
         let camera = Framing::of(scene).ring(Ring::HeldOut, 1, (SIDE, SIDE))?.remove(0);
-        let frames = spread(scene.frames(), size(setup).pictures);
-        let references = evaluator::references(scene, &frames, &camera, &Settings::default(), &Backend::Cpu)?;
-        Ok(Self { stream, map, graph, camera, frames, references })
+        let frames = Frames::new(&spread(scene.frames(), size(setup).pictures), scene.frames() as u32);
+        let settings = Settings::default();
+        let references = evaluator::references(scene, &frames.all, &camera, &settings, &Backend::Cpu)?;
+        let network = watched::network(setup)?;
+        Ok(Self { stream, map, graph, camera, frames, references, network })
     }
 
     /// Delivers over one link and renders what was shown.
@@ -113,23 +112,14 @@ impl Study {
         let state_of = |frame: u32| states.iter().find(|state| state.frame == frame);
         let shown: Vec<(u32, Option<&[u8]>)> = self
             .frames
+            .all
             .iter()
             .map(|frame| (*frame, state_of(*frame).map(|state| state.state.as_slice())))
             .collect();
         let settings = Settings::default();
         let images = evaluator::renders(&received.content(), &shown, &self.camera, &settings, &Backend::Cpu)?;
-        let (mut distortion, mut psnr) = (0.0, Vec::new());
-        for (image, reference) in images.iter().zip(&self.references) {
-            distortion += metric::distortion(image, reference)? / images.len() as f64;
-            psnr.push(evaluator::score(image, reference)?.psnr_db);
-        }
-        Ok(Seen {
-            utility: report.utility,
-            base_miss: report.base_miss_rate,
-            distortion,
-            psnr_db: dgs::figures::mean(&psnr),
-            worst_tenth_db: evaluator::worst_tenth(&psnr),
-        })
+        let pictures = (&images[..], &self.references[..]);
+        Seen::new(&report, &self.frames, pictures, (self.graph.frame_interval(), self.network.as_ref()))
     }
 }
 
@@ -144,12 +134,15 @@ struct Limits {
 /// A window and what limits it.
 type Limited = (Window<Seen>, Limits);
 
+/// The same, and what the default scheduler does without its parts.
+type Measured = (Limited, Window<ablations::Ablated>);
+
 fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, scene: &Scene) -> Result<()> {
     let study = Study::make(scene, setup)?;
     let windows = size(setup).windows;
     let jobs: Vec<(usize, usize)> =
         (0..channels.len()).flat_map(|trace| (0..windows).map(move |w| (trace, w))).collect();
-    let results: Result<Vec<Option<Limited>>> = jobs
+    let results: Result<Vec<Option<Measured>>> = jobs
         .par_iter()
         .map(|(trace, window)| {
             let seed = 77_000 + 1000 * *trace as u64 + *window as u64;
@@ -165,14 +158,17 @@ fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, s
             let ideal = run_ideal(&study.graph, &session, &mut *plan)?.utility;
             let runs: Result<Vec<Seen>> =
                 POLICIES.iter().map(|policy| study.see(&session, *policy)).collect();
-            let window = Window { family: channel.family, trace: *trace, runs: runs? };
-            Ok(Some((window, Limits { bound, ideal })))
+            let (family, trace) = (channel.family, *trace);
+            let without = Window { family, trace, runs: ablations::runs(&study.graph, &session)? };
+            let window = Window { family, trace, runs: runs? };
+            Ok(Some(((window, Limits { bound, ideal }), without)))
         })
         .collect();
-    let results: Vec<Limited> = results?.into_iter().flatten().collect();
+    let (results, without): (Vec<Limited>, Vec<_>) = results?.into_iter().flatten().unzip();
     let windows: Vec<Window<Seen>> = results.iter().map(|(window, _)| window.clone()).collect();
     push_rows(bench, name, &windows);
     push_limits(bench, name, &results);
+    ablations::push(bench, name, &without);
     Ok(())
 }
 
@@ -192,6 +188,13 @@ fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>]) {
         push(format!("{name}.distortion"), mean(&|window| 1000.0 * window.runs[at].distortion), "x 10^-3");
         push(format!("{name}.psnr"), mean(&|window| window.runs[at].psnr_db), "dB");
         push(format!("{name}.worst_tenth"), mean(&|window| window.runs[at].worst_tenth_db), "dB");
+        push(format!("{name}.ssim"), mean(&|window| window.runs[at].ssim), "");
+        push(format!("{name}.flicker"), mean(&|window| 1000.0 * window.runs[at].flicker), "x 10^-3");
+        push(format!("{name}.freezes"), mean(&|window| window.runs[at].freezes), "per minute");
+        push(format!("{name}.frozen"), mean(&|window| 100.0 * window.runs[at].frozen), "% of frames");
+        if windows.iter().any(|window| window.runs[at].lpips.is_finite()) {
+            push(format!("{name}.lpips"), mean(&|window| window.runs[at].lpips), "");
+        }
     }
     for (at, policy) in POLICIES.iter().enumerate().filter(|(at, _)| *at != OURS) {
         let name = policy.name();

@@ -1,0 +1,185 @@
+//! Builds the congestion controllers of connections: those of `quinn`, and SCReAM of `emulator-host`.
+
+mod watched;
+
+use std::{any::Any, sync::Arc, time::Instant};
+
+use emulator_host::{
+    ControllerKind, Nanos,
+    congestion::{self, Acked, Controller as _, Rtt, Scream, initial_window},
+};
+use quinn_proto::{
+    RttEstimator,
+    congestion::{BbrConfig, Controller, ControllerFactory, CubicConfig, NewRenoConfig},
+};
+
+pub(crate) use watched::{Factory, Watch, Watched};
+
+/// What governs how much of a connection may be on its way. `quinn` paces all of them alike: a window is
+/// spread over four fifths of a round trip.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CongestionControl {
+    /// NewReno (RFC 9002), of `quinn`.
+    NewReno,
+    /// CUBIC (RFC 8312), of `quinn`.
+    #[default]
+    Cubic,
+    /// The first BBR, of `quinn`, whose authors call it experimental.
+    Bbr,
+    /// SCReAMv2 (RFC 8298bis), the emulator's own. That acknowledgements are held back up to 25 ms counts as
+    /// delay of the queue: the transport does not say for how long each was.
+    Scream,
+}
+
+impl CongestionControl {
+    /// The one that stands for `kind` of the emulator; the paper's model of BBR has none.
+    pub(crate) fn of(kind: ControllerKind) -> Option<Self> {
+        match kind {
+            ControllerKind::NewReno => Some(Self::NewReno),
+            ControllerKind::Cubic => Some(Self::Cubic),
+            ControllerKind::Scream => Some(Self::Scream),
+            ControllerKind::BbrModel => None,
+        }
+    }
+
+    /// What makes it for connections whose datagrams are up to `datagram_bytes` long, with the initial window
+    /// of the model.
+    pub(crate) fn factory(self, datagram_bytes: u16) -> Factory {
+        let window = initial_window(datagram_bytes.into());
+        match self {
+            Self::NewReno => {
+                let mut reno = NewRenoConfig::default();
+                reno.initial_window(window);
+                Arc::new(reno)
+            }
+            Self::Cubic => {
+                let mut cubic = CubicConfig::default();
+                cubic.initial_window(window);
+                Arc::new(cubic)
+            }
+            Self::Bbr => {
+                let mut bbr = BbrConfig::default();
+                bbr.initial_window(window);
+                Arc::new(bbr)
+            }
+            Self::Scream => Arc::new(ScreamConfig { datagram_bytes }),
+        }
+    }
+}
+
+impl CongestionControl {
+    /// As [`Self::factory`], with a [`Watch`] on each.
+    pub(crate) fn watched(self, datagram_bytes: u16) -> Factory {
+        Arc::new(watched::WatchedFactory(self.factory(datagram_bytes)))
+    }
+}
+
+struct ScreamConfig {
+    datagram_bytes: u16,
+}
+
+impl ControllerFactory for ScreamConfig {
+    fn build(self: Arc<Self>, now: Instant, _current_mtu: u16) -> Box<dyn Controller> {
+        let datagram_bytes = self.datagram_bytes.into();
+        Box::new(ScreamController {
+            inner: Scream::new(datagram_bytes),
+            initial_window: initial_window(datagram_bytes),
+            rtt: Rtt::new(Nanos::ZERO),
+            began: now,
+            newest: None,
+        })
+    }
+}
+
+/// SCReAM, told what `quinn` tells.
+#[derive(Clone)]
+pub(crate) struct ScreamController {
+    inner: Scream,
+    initial_window: u64,
+    rtt: Rtt,
+    began: Instant,
+    /// When the latest packet of this acknowledgement was sent.
+    newest: Option<Instant>,
+}
+
+impl ScreamController {
+    fn nanos(&self, at: Instant) -> Nanos {
+        let since = at.saturating_duration_since(self.began);
+        Nanos(u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
+    }
+}
+
+impl Controller for ScreamController {
+    fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, app_limited: bool, _rtt: &RttEstimator) {
+        let acked = Acked { bytes, sent_at: self.nanos(sent), app_limited };
+        let now = self.nanos(now);
+        congestion::Controller::on_ack(&mut self.inner, acked, &self.rtt, now);
+        self.newest = self.newest.max(Some(sent));
+    }
+
+    fn on_end_acks(&mut self, now: Instant, in_flight: u64, _app_limited: bool, _largest: Option<u64>) {
+        let at = self.nanos(now);
+        if let Some(sent) = self.newest.take() {
+            self.rtt.update(at - self.nanos(sent), Nanos::ZERO, at);
+        }
+        self.inner.on_ack_end(None, in_flight, &self.rtt, at);
+    }
+
+    fn on_congestion_event(&mut self, now: Instant, sent: Instant, is_persistent: bool, lost_bytes: u64) {
+        let (sent, now) = (self.nanos(sent), self.nanos(now));
+        // What is in flight says nothing to it here.
+        self.inner.on_congestion(sent, lost_bytes, 0, now);
+        if is_persistent {
+            self.inner.on_persistent_congestion();
+            self.rtt.on_persistent_congestion();
+        }
+    }
+
+    fn on_mtu_update(&mut self, _new_mtu: u16) {}
+
+    fn window(&self) -> u64 {
+        congestion::Controller::window(&self.inner)
+    }
+
+    fn clone_box(&self) -> Box<dyn Controller> {
+        Box::new(self.clone())
+    }
+
+    fn initial_window(&self) -> u64 {
+        self.initial_window
+    }
+
+    fn into_any(self: Box<Self>) -> Box<dyn Any> {
+        self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn what_is_on_its_way_is_what_left_and_was_neither_acknowledged_nor_lost() {
+        let began = Instant::now();
+        let at = |ms| began + Duration::from_millis(ms);
+        let factory = CongestionControl::NewReno.watched(1200);
+        let mut controller = factory.build(began, 1200).into_any().downcast::<Watched>().unwrap();
+        let watch = controller.watch.clone();
+        // Two datagrams together, one alone, and an acknowledgement.
+        controller.on_sent(at(1), 1200, 0);
+        controller.on_sent(at(1), 2400, 1);
+        controller.on_sent(at(2), 1000, 2);
+        controller.on_sent(at(3), 40, 3);
+        assert_eq!(watch.look().in_flight, 3400);
+        controller.on_congestion_event(at(40), at(1), false, 1200);
+        assert_eq!(watch.look().in_flight, 2200);
+        controller.on_end_acks(at(41), 1000, false, Some(1));
+        assert_eq!(watch.look().in_flight, 1000);
+        // A copy, as the transport gives it away, is of the same connection.
+        let copy = controller.clone_box().into_any().downcast::<Watched>().unwrap();
+        copy.watch.forget(at(50));
+        assert_eq!((watch.look().least, controller.window()), (None, 6000));
+    }
+}

@@ -1,0 +1,43 @@
+//! Viewers are sent to by the congestion controller that the server names.
+
+use quinn::congestion::{Bbr, Cubic, NewReno};
+
+use super::*;
+use crate::congestion::{ScreamController, Watched};
+
+#[test]
+fn a_connection_has_the_controller_that_is_named() {
+    within(async {
+        for (control, name) in [
+            (CongestionControl::NewReno, "newreno"),
+            (CongestionControl::Cubic, "cubic"),
+            (CongestionControl::Bbr, "bbr"),
+            (CongestionControl::Scream, "scream"),
+        ] {
+            let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
+            let trust = Trust::Pin(identity.pin());
+            let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.server().unwrap()));
+            config.transport_config(ServerLimits::default().transport(control));
+            let endpoint = Endpoint::server(config, (Ipv4Addr::LOCALHOST, 0).into()).unwrap();
+            let address = endpoint.local_addr().unwrap();
+            let (crypto, _) = trust.client(Scheme::Dgs).unwrap();
+            let client = Endpoint::client((Ipv4Addr::LOCALHOST, 0).into()).unwrap();
+            let config = quinn::ClientConfig::new(Arc::new(crypto));
+            let connecting = client.connect_with(config, address, "localhost").unwrap();
+            let (served, viewer) =
+                tokio::join!(async { endpoint.accept().await.unwrap().await.unwrap() }, connecting);
+            let watched = served.congestion_state().into_any().downcast::<Watched>().unwrap();
+            let state = watched.inner.into_any();
+            let found = [
+                ("newreno", state.is::<NewReno>()),
+                ("cubic", state.is::<Cubic>()),
+                ("bbr", state.is::<Bbr>()),
+                ("scream", state.is::<ScreamController>()),
+            ];
+            assert_eq!(found.into_iter().filter(|(_, is)| *is).collect::<Vec<_>>(), [(name, true)]);
+            // Ten datagrams: more than that would be lost at once in the queue of a slow link.
+            assert_eq!(served.congestion_state().initial_window(), 12_000, "{name}");
+            drop(viewer);
+        }
+    });
+}
