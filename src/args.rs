@@ -64,6 +64,11 @@ pub enum Verb {
     /// Read a scene in any supported format and say what it is.
     Import(Import),
     /// Write a scene in another format, cropped, thinned, moved or merged on the way.
+    ///
+    /// Edits are done in one order, however they are typed: --frames, --merge, --crop, --filter, --decimate,
+    /// --transform, --sh-degree; where another is wanted, convert twice. A scene is then turned so that up is
+    /// where it usually is in the format written: -y in PLY, compressed PLY, .splat and SOG, y in SPZ, glTF
+    /// and .4dgs.
     Convert(Box<Convert>),
     /// Fit a moving scene to photographs, or to the renders of another scene.
     Train(Box<Train>),
@@ -72,12 +77,23 @@ pub enum Verb {
     /// Say what a .dgs file holds: manifest, packets, damage.
     Inspect(Inspect),
     /// Leave packets out of a .dgs file (levels, frames, bytes), or put them in order of time.
+    ///
+    /// Packets are left out, and nothing is decoded or coded again: the manifest still tells of all, and what
+    /// reads the file says how many packets are missing. Parity stays where all packets of
+    /// its repair set do, and goes with the first of them that is left out, since it repairs nothing then;
+    /// what of it goes is said. Utilities beside the input are copied beside the output, unless others are
+    /// there.
     Cut(Cut),
     /// Decode a .dgs file to PLY or SPZ frames.
     Decode(Decode),
     /// Render a scene or a .dgs file to pictures, an animation or a video.
     Render(Render),
     /// Compare two scenes, streams or sets of pictures: PSNR, SSIM, FLIP, LPIPS, attributes.
+    ///
+    /// Scenes and streams are rendered from the same cameras, in the coordinates of B; of two sides that have
+    /// different directions up, A is turned if it is a scene. Pictures are compared with pictures of the same
+    /// names, or in the order of their names where none is the same; or with renders: of the cameras that
+    /// `dgs render` takes, or those that are typed, by name where names say and else in order.
     Compare(Compare),
     /// Send a scene or a .dgs file over an emulated link under one scheduler.
     Stream(StreamArgs),

@@ -11,7 +11,10 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use clap::Parser;
+use clap::{
+    Parser,
+    error::{ContextKind, ContextValue, ErrorKind as ErrorKindOfClap},
+};
 
 /// Nothing was done: the input or an option was refused, or writing failed.
 const REFUSED: u8 = 1;
@@ -47,14 +50,28 @@ impl VerbOutput {
 /// # Errors
 /// 0 after `--help` and `--version` (1 if they cannot be printed), 64 if it is not a command.
 pub fn parse<T: Parser>() -> Result<T, ExitCode> {
-    T::try_parse().map_err(|error| {
+    T::try_parse().map_err(|mut error| {
         if error.use_stderr() {
+            say_how_numbers_are_typed(&mut error);
             // Where standard error is closed, the exit status still says it.
             let _ = error.print();
             return ExitCode::from(USAGE);
         }
         written(error.print()).map_or_else(|error| refuse(&error), |()| ExitCode::SUCCESS)
     })
+}
+
+/// Of a number below 0 that was taken for an option: how it is typed as the value of one.
+fn say_how_numbers_are_typed(error: &mut clap::Error) {
+    let Some(ContextValue::String(typed)) = error.get(ContextKind::InvalidArg) else { return };
+    let number = typed
+        .strip_prefix('-')
+        .is_some_and(|rest| rest.starts_with(|c: char| c == '.' || c.is_ascii_digit()));
+    if error.kind() != ErrorKindOfClap::UnknownArgument || !number {
+        return;
+    }
+    let tip = "a value that begins with - is typed behind =, as in --OPTION=VALUE".to_owned();
+    error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
 }
 
 /// An error and its causes in one line. Some errors say their cause themselves: it is not said again.

@@ -14,7 +14,7 @@ pub use self::video::VideoCodec;
 use self::video::{Container, Video, VideoFormat};
 use crate::files::{self, FrameFolder, PendingFile};
 
-/// Quality of JPEG, 1 to 100.
+/// Quality of JPEG where none is chosen, 1 to 100.
 const JPEG_QUALITY: u8 = 92;
 
 /// What pictures become.
@@ -35,7 +35,7 @@ pub enum PictureOutput {
 pub enum StillFormat {
     /// Lossless.
     Png,
-    /// Lossy, quality 92.
+    /// Lossy.
     Jpeg,
     /// Lossless.
     Webp,
@@ -50,10 +50,10 @@ impl StillFormat {
         })
     }
 
-    fn encode(self, picture: &Image) -> Result<Vec<u8>> {
+    fn encode(self, picture: &Image, quality: Option<u8>) -> Result<Vec<u8>> {
         Ok(match self {
             Self::Png => picture.to_png()?,
-            Self::Jpeg => picture.to_jpeg(JPEG_QUALITY)?,
+            Self::Jpeg => picture.to_jpeg(quality.unwrap_or(JPEG_QUALITY))?,
             Self::Webp => picture.to_webp()?,
         })
     }
@@ -125,6 +125,25 @@ impl PictureOutput {
         })
     }
 
+    /// What a person should know of `frames_per_second` that it cannot hold.
+    pub fn rounded_rate(self, frames_per_second: f64) -> Option<String> {
+        let stays = 100.0 / frames_per_second;
+        let rounded = (stays - stays.round()).abs() > 1e-6;
+        (matches!(self, Self::Animation(AnimationFormat::Gif)) && rounded).then(|| {
+            let (least, most) = (stays.floor(), stays.ceil());
+            let slow = if least < 2.0 { "; most browsers show what stays less than 2 for 10" } else { "" };
+            format!(
+                "GIF counts hundredths of a second: at {frames_per_second} frames per second pictures stay \
+                 for {least} or {most} of them, and the clip keeps its length{slow}"
+            )
+        })
+    }
+
+    /// Whether it loses something that `PictureRun::quality` says how much of.
+    pub fn is_lossy(self) -> bool {
+        matches!(self, Self::Still(StillFormat::Jpeg) | Self::Video(_))
+    }
+
     /// Whether its pictures follow one another in time.
     pub fn is_moving(self) -> bool {
         matches!(self, Self::Animation(_) | Self::Video(_))
@@ -155,6 +174,8 @@ pub struct PictureRun {
     pub pictures: usize,
     /// Frames per second, where they move.
     pub frames_per_second: f64,
+    /// 1 to 100, of what is lossy; by default that of the format.
+    pub quality: Option<u8>,
     /// Whether a folder may replace one of frames alone.
     pub overwrite: bool,
 }
@@ -206,7 +227,7 @@ impl<'a> PictureWriter<'a> {
         }
         let failed = || format!("{}: picture {name}", self.path.display());
         match &mut self.sink {
-            Sink::Still(format) => files::write(self.path, &format.encode(picture)?),
+            Sink::Still(format) => files::write(self.path, &format.encode(picture, self.run.quality)?),
             Sink::Folder(folder) => folder.add(format!("{name}.png"), &picture.to_png()?),
             Sink::Animation(_, animation) => animation.add(picture).with_context(failed),
             Sink::Video(video) => video.add(picture).with_context(failed),
@@ -254,8 +275,8 @@ impl<'a> PictureWriter<'a> {
                 Sink::Animation(pending, Box::new(Animation::begin(file, format, size, pictures, rate)?))
             }
             PictureOutput::Video(format) => {
-                let pictures = self.run.pictures;
-                Sink::Video(Box::new(Video::begin(self.path, format, size, rate, pictures)?))
+                let PictureRun { pictures, quality, .. } = self.run;
+                Sink::Video(Box::new(Video::begin(self.path, format, size, rate, pictures, quality)?))
             }
             other => Sink::Unbegun(other),
         })
@@ -314,10 +335,30 @@ mod tests {
     }
 
     #[test]
+    fn a_rate_that_hundredths_do_not_hold_is_said_of_gif_alone() {
+        let gif = PictureOutput::Animation(AnimationFormat::Gif);
+        let said = gif.rounded_rate(30.0).unwrap();
+        assert!(said.contains("3 or 4") && !said.contains("browsers"), "{said}");
+        assert!(
+            gif.rounded_rate(60.0).unwrap().contains("1 or 2 of them") && gif.rounded_rate(25.0).is_none()
+        );
+        assert!(PictureOutput::Animation(AnimationFormat::Apng).rounded_rate(30.0).is_none());
+    }
+
+    #[test]
+    fn a_lower_quality_takes_fewer_bytes() {
+        let rgb = (0..64 * 64 * 3).map(|i| (i as f32 * 0.7).sin() * 0.5 + 0.5).collect();
+        let picture = Image::new(64, 64, rgb).unwrap();
+        let bytes = |quality| StillFormat::Jpeg.encode(&picture, quality).unwrap().len();
+        assert!(bytes(Some(20)) < bytes(None) && bytes(None) < bytes(Some(100)));
+        assert_eq!(bytes(None), bytes(Some(JPEG_QUALITY)));
+    }
+
+    #[test]
     fn pictures_of_two_sizes_do_not_move() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.gif");
-        let run = PictureRun { pictures: 2, frames_per_second: 10.0, overwrite: false };
+        let run = PictureRun { pictures: 2, frames_per_second: 10.0, quality: None, overwrite: false };
         let mut writer =
             PictureWriter::begin(&path, PictureOutput::Animation(AnimationFormat::Gif), run).unwrap();
         writer.add("one", &Image::filled(4, 4, [0.5; 3]).unwrap()).unwrap();

@@ -184,9 +184,11 @@ fn it_plays_scrubs_loops_and_ends() {
     assert_eq!(page.run("player.overlay"), "levels");
     page.browser.press("o").unwrap();
     page.browser.press("o").unwrap();
-    assert_eq!(page.run("player.overlay"), "coverage");
+    assert_eq!(page.run("player.overlay"), "missing");
+    let painted = "player.shadowRoot.querySelector('.painted').textContent";
+    assert!(page.run(painted).to_string().contains("utility of what is missing"));
     let title = "player.shadowRoot.querySelector('.paint').title";
-    assert_eq!(page.run(title), "Paint blocks: coverage (O)");
+    assert_eq!(page.run(title), "Paint blocks: missing (O)");
     page.browser.press("o").unwrap();
     assert_eq!(page.run("player.overlay"), "none");
     // On so small a picture the bar is one row, and it goes where nothing is moved while the clip plays.

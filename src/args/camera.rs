@@ -14,7 +14,8 @@ use super::number::{point, real, whole};
 #[derive(Clone, Debug, Default, Args)]
 pub struct CameraArgs {
     /// Cameras to look from: a Blender/NeRF transforms_*.json (times 0 to 1 choose frames), or COLMAP's
-    /// cameras and images (.bin or .txt): either file, or the folder with both. Lenses must be undistorted.
+    /// cameras and images (.bin or .txt): either file, or the folder with both; or Panoptic's train_meta.json
+    /// or test_meta.json. Lenses must be undistorted.
     /// [default: the scene's own, else a ring around it that holds 98 % of the Gaussians]
     #[arg(long, value_name = "FILE")]
     pub cameras: Option<PathBuf>,

@@ -8,11 +8,6 @@ use trainer_host::edit::{Bounds, Condition, Similarity};
 use super::{FrameRange, SceneArgs, number::real};
 
 /// `dgs convert`.
-///
-/// Edits are done in one order, however they are typed: --frames, --merge, --crop, --filter, --decimate,
-/// --transform, --sh-degree; where another is wanted, convert twice. A scene is then turned so that up is
-/// where it usually is in the format written: -y in PLY, compressed PLY, .splat and SOG, y in SPZ, glTF and
-/// .4dgs.
 #[derive(Debug, Args)]
 pub struct Convert {
     /// Scene, as for import, or a .dgs file.
@@ -33,7 +28,8 @@ pub struct Convert {
     /// longest), red, green, blue; may be given again.
     #[arg(long, value_name = "CONDITION")]
     pub filter: Vec<Condition>,
-    /// Keep this share of the Gaussians, those that show most: above 0, at most 1.
+    /// Leave about this share of the Gaussians, above 0, at most 1: neighbours become one where that changes
+    /// pictures least, and only where they move alike.
     #[arg(
         long, value_name = "SHARE", value_parser = real(1e-9..=1.0, "a share"), allow_negative_numbers = true
     )]

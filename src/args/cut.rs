@@ -7,11 +7,6 @@ use clap::Args;
 use super::FrameRange;
 
 /// `dgs cut`.
-///
-/// Packets are left out, and nothing is decoded or coded again: the manifest still tells of all, and what
-/// reads the file says how many packets are missing. Parity stays where all packets of
-/// its repair set do, and goes with the first of them that is left out, since it repairs nothing then; what
-/// of it goes is said. Utilities beside the input are copied beside the output, unless others are there.
 #[derive(Debug, Args)]
 pub struct Cut {
     /// A .dgs file; - is standard input.

@@ -24,6 +24,10 @@ pub struct Render {
     /// How a video is coded [default: av1].
     #[arg(long, value_enum, value_name = "CODEC")]
     pub video_codec: Option<VideoCodec>,
+    /// Quality of a JPEG [default: 92] or a video [default: 76 of AV1, 67 of H.264], 1 to 100; all else is
+    /// lossless but for the colours of GIF.
+    #[arg(long, value_parser = whole::<u8>(1..=100, "percent"))]
+    pub quality: Option<u8>,
     /// Frames per second of an animation or video, 0.001 to 10000 [default: the scene's].
     #[arg(
         long, value_name = "FPS", value_parser = real(0.001..=10_000.0, "frames per second"),
@@ -95,11 +99,6 @@ pub enum RenderBackground {
 }
 
 /// `dgs compare`.
-///
-/// Scenes and streams are rendered from the same cameras, in the coordinates of B; of two sides that have
-/// different directions up, A is turned if it is a scene. Pictures are compared with pictures of the same
-/// names, or in the order of their names where none is the same; or with renders: of the cameras that
-/// `dgs render` takes, or those that are typed, by name where names say and else in order.
 #[derive(Debug, Args)]
 pub struct Compare {
     /// What is looked at: a scene, a .dgs file (- is one at standard input), a picture, or a folder of

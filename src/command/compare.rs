@@ -46,6 +46,8 @@ struct PictureDifference {
     flip: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     lpips: Option<f64>,
+    /// Whether it is a render and shows nothing of A nor B: it does not count.
+    nothing_seen: bool,
 }
 
 /// A metric over all pictures.
@@ -83,7 +85,9 @@ pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
         let [of_a, of_b] = &mut renderers;
         let a = picture(&pair.a, &mut a, pair.frame, of_a, &settings)?;
         let b = picture(&pair.b, &mut b, pair.frame, of_b, &settings)?;
-        let (row, map) = compared(pair, &a, &b, network.as_ref())?;
+        let (mut row, map) = compared(pair, &a, &b, network.as_ref())?;
+        let is_blank = |picture: &Image| is_blank(picture, args.view.background);
+        row.nothing_seen = pair.is_rendered() && is_blank(&a) && is_blank(&b);
         if let Some(folder) = &mut folder {
             let heat = metric::heat::map(a.width(), a.height(), &map, 1.0)?;
             folder.add(format!("{}.png", pair.name), &Image::strip(&[&a, &b, &heat], 3, 2)?.to_png()?)?;
@@ -95,9 +99,12 @@ pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
         folder.finish(args.overwrite)?;
     }
     let gaussians = gaussians(&mut a, &mut b, &pairs)?;
+    let unseen: Vec<&str> = rows.iter().filter(|row| row.nothing_seen).map(|row| &*row.name).collect();
+    let unseen = (!unseen.is_empty()).then(|| not_counted(&unseen, rows.len())).transpose()?;
     let summaries = summaries(&rows);
     let background = args.view.background;
-    let notes: Vec<&String> = [&a, &b].into_iter().flat_map(notes).chain(&turned).chain(&doubts).collect();
+    let notes: Vec<&String> =
+        [&a, &b].into_iter().flat_map(notes).chain(&turned).chain(&doubts).chain(&unseen).collect();
     let mut text = format!(
         "{} against {}: {}, {cameras}, background {background:?}\n",
         args.a,
@@ -179,8 +186,34 @@ fn compared(
         ssim: metric::ssim(a, b).with_context(failed)?,
         flip: flip.mean,
         lpips: network.map(|network| network.distance(a, b)).transpose().with_context(failed)?,
+        nothing_seen: false,
     };
     Ok((row, flip.map))
+}
+
+/// Whether `picture` is `background` everywhere.
+fn is_blank(picture: &Image, background: [f32; 3]) -> bool {
+    picture
+        .rgb()
+        .chunks_exact(3)
+        .all(|pixel| pixel.iter().zip(&background).all(|(a, b)| (a - b).abs() < 0.5 / 255.0))
+}
+
+/// What is said of the pictures `unseen` of `all`, which show nothing and would count as perfect.
+///
+/// # Errors
+/// All are: nothing is compared.
+fn not_counted(unseen: &[&str], all: usize) -> Result<String> {
+    if unseen.len() == all {
+        let pictures = counted(all, "picture");
+        bail!(
+            "nothing of A or B is seen in any of {pictures}; --cameras, --eye and --turntable place cameras"
+        );
+    }
+    let named: Vec<&str> = unseen.iter().copied().take(LINES).collect();
+    let more = if unseen.len() > LINES { " and others" } else { "" };
+    let pictures = counted(unseen.len(), "picture");
+    Ok(format!("nothing of A or B is seen in {pictures}, which do not count: {}{more}", named.join(", ")))
 }
 
 /// The Gaussians of the first frame that was compared, if both sides have any.
@@ -200,8 +233,9 @@ fn gaussians(
 /// The value of a metric, where it was measured.
 type Metric = fn(&PictureDifference) -> Option<f64>;
 
-/// Mean and worst of every metric.
+/// Mean and worst of every metric over the pictures that count.
 fn summaries(rows: &[PictureDifference]) -> Vec<MetricSummary> {
+    let rows: Vec<&PictureDifference> = rows.iter().filter(|row| !row.nothing_seen).collect();
     let metrics: [(&str, bool, Metric); 4] = [
         ("psnr_db", true, |row| Some(row.psnr_db)),
         ("ssim", true, |row| Some(row.ssim)),
@@ -210,7 +244,7 @@ fn summaries(rows: &[PictureDifference]) -> Vec<MetricSummary> {
     ];
     let mut out = Vec::new();
     for (metric, higher_is_better, value) in metrics {
-        let values: Option<Vec<f64>> = rows.iter().map(value).collect();
+        let values: Option<Vec<f64>> = rows.iter().map(|row| value(row)).collect();
         let Some(values) = values.filter(|values| !values.is_empty()) else { continue };
         let sign = if higher_is_better { 1.0 } else { -1.0 };
         let ranked = (0..values.len()).min_by(|&i, &j| (sign * values[i]).total_cmp(&(sign * values[j])));
@@ -281,10 +315,18 @@ mod tests {
             ssim: 0.9,
             flip,
             lpips: None,
+            nothing_seen: false,
         };
         let found = summaries(&[row("a", 40.0, 0.3), row("b", 20.0, 0.1)]);
         assert_eq!(found.len(), 3, "no LPIPS without weights");
         assert_eq!((found[0].mean, found[0].worst, found[0].worst_name.as_str()), (30.0, 20.0, "b"));
         assert_eq!((found[2].worst, found[2].worst_name.as_str()), (0.3, "a"));
+        let blank = PictureDifference { nothing_seen: true, ..row("c", 99.0, 0.0) };
+        assert_eq!(
+            summaries(&[row("a", 40.0, 0.3), blank])[0].mean,
+            40.0,
+            "what shows nothing is not perfect"
+        );
+        assert!(not_counted(&["c"], 1).is_err() && not_counted(&["c"], 2).unwrap().ends_with(": c"));
     }
 }

@@ -221,7 +221,8 @@ fn draw(
             bail!("--reference has {has} frames; the stream that was played has {wants}");
         }
     }
-    let run = PictureRun { pictures: states.len(), frames_per_second, overwrite: args.overwrite };
+    let overwrite = args.overwrite;
+    let run = PictureRun { pictures: states.len(), frames_per_second, quality: None, overwrite };
     let writer = output.filter(|_| !states.is_empty());
     let mut writer = writer.map(|(out, output)| PictureWriter::begin(out, output, run)).transpose()?;
     let shown: Vec<(u32, Option<&[u8]>)> =

@@ -56,7 +56,9 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     let settings = pipeline::settings(&args.view.opaque()).with_footprint(frames.footprint());
 
     let frames_per_second = args.rate.unwrap_or_else(|| frames.frames_per_second());
-    let run = PictureRun { pictures: pictures.len(), frames_per_second, overwrite: args.overwrite };
+    notes.extend(output.rounded_rate(frames_per_second));
+    let (quality, overwrite) = (args.quality, args.overwrite);
+    let run = PictureRun { pictures: pictures.len(), frames_per_second, quality, overwrite };
     let mut writer = PictureWriter::begin(&args.out, output, run)?;
     writer.name_cameras(&cameras);
     let mut renderer = backend.frames()?;
@@ -107,6 +109,10 @@ fn unused(args: &Render, frames: &Frames, output: PictureOutput) -> Vec<String> 
     if args.rate.is_some() && !output.is_moving() {
         let out = args.out.display();
         notes.push(format!("{out}: is no animation or video; not used, being for those: --rate"));
+    }
+    if args.quality.is_some() && !output.is_lossy() {
+        let out = args.out.display();
+        notes.push(format!("{out}: is no JPEG or video; not used, being for those: --quality"));
     }
     notes
 }

@@ -84,17 +84,18 @@ pub(super) enum Video {
 }
 
 impl Video {
-    /// Begins a video of about `pictures` of `size` (width, height).
+    /// Begins a video of about `pictures` of `size` (width, height), at a quality of 1 to 100 or the usual.
     pub(super) fn begin(
         target: &Path,
         format: VideoFormat,
         size: (u32, u32),
         frames_per_second: f64,
         pictures: usize,
+        quality: Option<u8>,
     ) -> Result<Self> {
         match format {
             VideoFormat::H264 => {
-                Ok(Self::H264(Box::new(FfmpegVideo::begin(target, size, frames_per_second)?)))
+                Ok(Self::H264(Box::new(FfmpegVideo::begin(target, size, frames_per_second, quality)?)))
             }
             #[cfg(feature = "video")]
             VideoFormat::Av1(container) => {
@@ -104,13 +105,16 @@ impl Video {
                 };
                 let mut pending = PendingFile::begin(target)?;
                 let file = pending.file().try_clone()?;
-                let video = Av1Video::begin(file, container, size, frames_per_second, pictures)?;
+                let mut video = Av1Video::begin(file, container, size, frames_per_second, pictures)?;
+                if let Some(quality) = quality {
+                    video = video.with_quality(quality)?;
+                }
                 Ok(Self::Av1 { pending, video: Box::new(video) })
             }
             #[cfg(not(feature = "video"))]
             VideoFormat::Av1(_) => {
                 // Only pictures of a known number leave room for their times.
-                let _ = pictures;
+                let _ = (pictures, quality);
                 format.check()?;
                 bail!("this build makes no AV1")
             }

@@ -18,6 +18,7 @@ use render_host::{
 };
 use trainer_host::{
     scene::Up,
+    train::dataset::panoptic_cameras,
     viewpoint::{FIELD_OF_VIEW, Framing, Ring},
 };
 
@@ -217,6 +218,8 @@ pub fn read_cameras(path: &Path, size: Option<(u32, u32)>) -> Result<Vec<View>> 
     let views = if path.is_dir() {
         let text = path.join("images.txt").is_file() && !path.join("images.bin").is_file();
         read_colmap(path, if text { Format::Text } else { Format::Binary })?
+    } else if name.ends_with("_meta.json") {
+        panoptic_cameras(path)?
     } else if name.ends_with(".json") {
         let views = blender::read(&read(path)?, size);
         views.with_context(|| format!("{}: --width and --height give a size", path.display()))?
@@ -225,7 +228,8 @@ pub fn read_cameras(path: &Path, size: Option<(u32, u32)>) -> Result<Vec<View>> 
         read_colmap(path.parent().unwrap_or(Path::new("")), format)?
     } else {
         bail!(
-            "{}: not a file of cameras; transforms_*.json, or cameras and images as .bin or .txt are allowed",
+            "{}: not a file of cameras; transforms_*.json, *_meta.json (Panoptic), or cameras and images as \
+             .bin or .txt are allowed",
             path.display()
         );
     };

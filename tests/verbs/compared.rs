@@ -87,3 +87,22 @@ fn scenes_with_other_axes_are_compared_upright() {
     let (psnr, said) = compared(at, &[&["a.spz", "a.ply", "--up", "y"], &SMALL[..]].concat());
     assert!(psnr < 30.0 && !said.contains("turned"), "{psnr} {said}");
 }
+
+/// A view of nothing is as good as any other: it is named, and not counted as perfect.
+#[test]
+fn views_that_show_nothing_do_not_count() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let cameras = r#"{"camera_angle_x": 0.8, "w": 32, "h": 32, "frames": [
+        {"file_path": "seen", "transform_matrix": [[1,0,0,0],[0,1,0,1],[0,0,1,4],[0,0,0,1]]},
+        {"file_path": "away", "transform_matrix": [[1,0,0,0],[0,1,0,1],[0,0,1,-40],[0,0,0,1]]}]}"#;
+    fs::write(at.join("cameras.json"), cameras).unwrap();
+    let (a, b) = ("synth:figure:1000:1", "synth:figure:1100:1");
+    let said = json(at, &["compare", a, b, "--cameras", "cameras.json"]);
+    let (seen, away) = (&said["pictures"][0], &said["pictures"][1]);
+    assert!(seen["nothing_seen"] == false && away["nothing_seen"] == true, "{said}");
+    assert_eq!(said["summary"][0]["mean"], seen["psnr_db"], "{said}");
+    assert!(said["notes"].to_string().contains("nothing of A or B is seen in 1 picture"), "{said}");
+    let text = stopped(at, &["compare", a, b, "--eye", "0,0,90", "--target", "0,0,180"], 1);
+    assert!(text.contains("nothing of A or B is seen in any of 1 picture"), "{text}");
+}

@@ -140,3 +140,70 @@ fn frames_are_rendered_as_chosen() {
     let text = stopped(at, &["render", scene, "-o", "q", "--frames", "3..9"], 1);
     assert!(text.contains("frames 0 to 4 are there"), "{text}");
 }
+
+/// A lower quality takes fewer bytes; where nothing is lossy, that it is not used is said.
+#[test]
+fn quality_is_of_what_is_lossy() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let render = |out: &str, more: &[&str]| {
+        ok(at, &[&["render", "synth:figure:1000:3", "-o", out], &SMALL[..], more].concat())
+    };
+    let length = |name: &str| fs::metadata(at.join(name)).unwrap().len();
+    for ending in ["jpg", "mp4"] {
+        let names = ["20", "", "100"].map(|quality| format!("at{quality}.{ending}"));
+        for (name, more) in names.iter().zip([&["--quality", "20"][..], &[], &["--quality", "100"]]) {
+            render(name, more);
+        }
+        let [low, usual, high] = names.each_ref().map(|name| length(name));
+        assert!(low < usual && usual < high, "{ending}: {low}, {usual}, {high} bytes");
+    }
+    let text = render("a.webp", &["--quality", "20"]);
+    assert!(text.contains("a.webp: is no JPEG or video; not used, being for those: --quality"), "{text}");
+    let text = render("a.gif", &["--rate", "30"]);
+    assert!(text.contains("pictures stay for 3 or 4 of them"), "{text}");
+    assert!(!render("a.gif", &["--rate", "25"]).contains("hundredths"));
+    stopped(at, &["render", "synth:figure:1000:3", "-o", "a.jpg", "--quality", "0"], 64);
+}
+
+/// A number below 0 that is taken for an option is told how to be typed, and never to go behind `--`.
+#[test]
+fn numbers_below_zero_are_never_taken_for_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    for wrong in [["--frame", "-1"], ["--frames", "-1..2"], ["--width", "-5"], ["--background", "-.5"]] {
+        let text = stopped(at, &[&["render", "synth:figure:1000:1", "-o", "a.png"], &wrong[..]].concat(), 64);
+        assert!(text.contains("--OPTION=VALUE") && !text.contains("-- -"), "{text}");
+    }
+    ok(
+        at,
+        &["render", "synth:figure:1000:1", "-o", "a.png", "--eye", "-1,0,2", "--width", "8", "--height", "8"],
+    );
+}
+
+#[test]
+fn cameras_of_panoptic_are_looked_from() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let meta = r#"{"w": 16, "h": 12, "k": [[[[10,0,8],[0,10,6],[0,0,1]]],[[[10,0,8],[0,10,6],[0,0,1]]]],
+        "w2c": [[[[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]],[[[1,0,0,0],[0,1,0,0],[0,0,1,5],[0,0,0,1]]]],
+        "fn": [["0/000000.jpg"],["0/000001.jpg"]]}"#;
+    fs::write(at.join("train_meta.json"), meta).unwrap();
+    let said = json(at, &["render", "synth:figure:1000:4", "-o", "p", "--cameras", "train_meta.json"]);
+    assert_eq!(said["images"], 2, "{said}");
+    assert!(said["cameras"].as_str().unwrap().starts_with("2 cameras of "), "{said}");
+    fs::write(at.join("test_meta.json"), meta.replace("16", "0")).unwrap();
+    let text = stopped(at, &["render", "synth:figure:1000:4", "-o", "q", "--cameras", "test_meta.json"], 1);
+    assert!(text.contains("test_meta.json") && text.contains("0/000000.jpg"), "{text}");
+}
+
+#[test]
+fn the_order_of_edits_is_in_the_help() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = ok(folder.path(), &["convert", "--help"]);
+    let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(
+        words.contains("--frames, --merge, --crop, --filter, --decimate, --transform, --sh-degree"),
+        "{text}"
+    );
+}

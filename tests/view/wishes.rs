@@ -58,3 +58,36 @@ fn what_is_wished_before_a_stream_begins_holds_from_its_beginning() {
     assert_eq!(page.run(open), "The player is in no page");
     page.close();
 }
+
+/// Keys to fly by are held together, faster with Shift, until they are let go or the focus goes.
+#[test]
+fn keys_that_fly_work_at_once() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25", SIDE / 4) else {
+        return;
+    };
+    page.run(
+        "{ const session = player.session; const fly = session.fly.bind(session); globalThis.flown = [];\
+           session.fly = (...way) => { flown.push(way); fly(...way); };\
+           globalThis.key = (type, key, shiftKey = false) => player.dispatchEvent(\
+             new KeyboardEvent(type, { key, shiftKey, bubbles: true, composed: true })); }\
+         key('keydown', 'w'), key('keydown', 'd'), 0",
+    );
+    let both = "flown.some(([right, up, forward]) => right > 0 && up === 0 && forward > 0)";
+    page.browser.wait(PAGE_TIMEOUT_S, both).unwrap();
+    page.run("key('keyup', 'w'), flown.length = 0, 0");
+    page.browser.wait(PAGE_TIMEOUT_S, "flown.length > 2").unwrap();
+    assert_eq!(page.run("flown.slice(1).every(([right, , forward]) => right > 0 && forward === 0)"), true);
+    page.run("key('keydown', 'D', true), key('keyup', 'D', true), flown.length = 0, 0");
+    // One more picture, in which nothing flies.
+    page.run(
+        "globalThis.shown = 0, requestAnimationFrame(() => requestAnimationFrame(() => (shown = 1))), 0",
+    );
+    page.browser.wait(PAGE_TIMEOUT_S, "shown === 1").unwrap();
+    assert_eq!(page.number("flown.length"), 0.0);
+    page.run("key('keydown', 'q'), player.dispatchEvent(new FocusEvent('focusout')), 0");
+    page.run("flown.length = 0, shown = 0, 0");
+    page.run("requestAnimationFrame(() => requestAnimationFrame(() => (shown = 1))), 0");
+    page.browser.wait(PAGE_TIMEOUT_S, "shown === 1").unwrap();
+    assert_eq!(page.number("flown.length"), 0.0, "whoever looks elsewhere flies no further");
+    page.close();
+}

@@ -14,7 +14,7 @@ use rav1e::{
 
 use crate::{error::VideoError, planes::Planes, rate::FrameRate, track::Sample};
 
-/// The base quantiser, 0 to 255.
+/// The base quantiser where no quality is chosen, 0 to 255.
 const QUANTIZER: usize = 60;
 /// How much the encoder searches, 0 (most) to 10.
 const SPEED: u8 = 8;
@@ -35,9 +35,13 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// For pictures of `size`, both sides even.
-    pub fn new(size: (usize, usize), rate: FrameRate) -> Result<Self, VideoError> {
-        let config = Config::new().with_encoder_config(configuration(size, rate));
+    /// For pictures of `size`, both sides even, at a quality of 1 to 100, if one is chosen.
+    pub fn new(size: (usize, usize), rate: FrameRate, quality: Option<u8>) -> Result<Self, VideoError> {
+        let mut configuration = configuration(size, rate);
+        if let Some(quality) = quality {
+            configuration.quantizer = (255 * (100 - usize::from(quality.min(100))) + 50) / 100;
+        }
+        let config = Config::new().with_encoder_config(configuration);
         let context = config.new_context().map_err(|error| VideoError::Encoder(error.to_string()))?;
         Ok(Self { context })
     }

@@ -58,8 +58,18 @@ impl<W: Write + Seek> Video<W> {
     ) -> Result<Self, VideoError> {
         encoder::check_size(size)?;
         let rate = FrameRate::of(frames_per_second)?;
-        let encoder = Encoder::new(planes::even(size), rate)?;
+        let encoder = Encoder::new(planes::even(size), rate, None)?;
         Ok(Self { encoder, rate, size, pictures, stage: Stage::Unbegun(file, container) })
+    }
+
+    /// The same at a quality of 1 to 100: the share of the range of quantisers, of which 76 is usual. Asked
+    /// before the first picture.
+    ///
+    /// # Errors
+    /// What the encoder says.
+    pub fn with_quality(self, quality: u8) -> Result<Self, VideoError> {
+        let encoder = Encoder::new(planes::even(self.size), self.rate, Some(quality))?;
+        Ok(Self { encoder, ..self })
     }
 
     /// Adds the next picture.

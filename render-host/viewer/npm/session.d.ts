@@ -11,7 +11,7 @@ export interface Granted {
  * What blocks are painted by: nothing, the level that they are shown at, how long ago a level came (bright to dark
  * over a second), or how much of a picture they can cover.
  */
-export type Overlay = "none" | "levels" | "arrivals" | "coverage";
+export type Overlay = "none" | "levels" | "arrivals" | "missing";
 
 /** All of them, in the order in which the key O goes through them. */
 export const OVERLAYS: readonly Overlay[];

@@ -10,6 +10,7 @@ const TEMPLATE = `
 <style>${STYLE}</style>
 <canvas class="picture" part="picture" tabindex="0" role="img" aria-label="Moving scene; press ? for keys"></canvas>
 <p class="message" role="status" aria-live="polite"></p>
+<p class="painted" role="status"></p>
 <section class="network" aria-label="Network" hidden></section>
 <div class="bar" part="controls" role="group" aria-label="Player">
   <button class="play" aria-label="Play" title="Play (Space)">▶</button>
@@ -25,6 +26,14 @@ const TEMPLATE = `
   <button class="help" aria-label="Keys" title="Keys (?)">?</button>
 </div>
 <dialog aria-label="Keys"><dl></dl><form method="dialog"><button>Close</button></form></dialog>`;
+
+// What colours mean, for whoever looks on.
+const PAINTED = {
+  none: "",
+  levels: "Painted by level: red stands in, yellow to blue are base and refinements",
+  arrivals: "Painted by what just came: bright for a second",
+  missing: "Painted by utility of what is missing (estimated): bright is what the picture lacks most",
+};
 
 /** Puts the parts of a player into its shadow tree. */
 export function build(root) {
@@ -57,6 +66,7 @@ export function showState(root, player) {
   part("loop").setAttribute("aria-pressed", loop);
   part("paint").setAttribute("aria-pressed", overlay !== OVERLAYS[0]);
   part("paint").title = `Paint blocks: ${overlay} (O)`;
+  part("painted").textContent = PAINTED[overlay];
   part("quality").value = quality;
   part("speed").value = playbackRate;
 }

@@ -370,7 +370,7 @@ export class DgsPlayer extends HTMLElement {
     this.#wish("levelchange", { cap: Math.max(0, Math.min(3, Math.round(level) || 0)) });
   }
 
-  /** What blocks are painted by: none, levels (that they are shown at), arrivals (of the last second), coverage. */
+  /** What blocks are painted by: none, levels (that they are shown at), arrivals (of the last second), missing (utility). */
   get overlay() {
     return this.#wishes.overlay;
   }

@@ -23,6 +23,7 @@ const PARTS = `
 <label class="of-server">Anew <span><input class="anew" type="checkbox" checked> each loop begins with nothing</span></label>
 <p class="where" role="status"></p>
 <canvas class="levels" role="img" aria-label="Share of blocks by level over time"></canvas>
+<canvas class="quality" role="img" aria-label="Estimated quality over time"></canvas>
 <canvas class="bits" role="img" aria-label="Bits that arrived per second over time"></canvas>
 <ul class="legend"></ul>
 <p class="numbers" role="status"></p>`;
@@ -31,6 +32,8 @@ export class NetworkPanel {
   #root;
   #engine;
   #history = [];
+  // Estimated quality of each sample, 0 to 1.
+  #qualities = [];
   // Bits per second of each sample, and bytes until the last one and its time.
   #bits = [];
   #until = null;
@@ -77,7 +80,7 @@ export class NetworkPanel {
 
   /** Another stream begins under the conditions that are set. */
   began() {
-    [this.#history, this.#bits, this.#until] = [[], [], null];
+    [this.#history, this.#qualities, this.#bits, this.#until] = [[], [], [], null];
     this.#control("where").textContent = "";
     if (this.#isSet) this.#apply(this.#conditions);
   }
@@ -135,6 +138,8 @@ export class NetworkPanel {
     const blocks = Math.max(1, levels.reduce((sum, count) => sum + count, 0));
     this.#history.push([...levels].map((count) => count / blocks));
     if (this.#history.length > SAMPLES) this.#history.shift();
+    this.#qualities.push(session.estimatedQuality);
+    if (this.#qualities.length > SAMPLES) this.#qualities.shift();
     const ofServer = Boolean(session.server);
     this.#root.querySelectorAll(".of-server").forEach((row) => (row.hidden = !ofServer));
     const [came, decoded, bytes] = session.packets();
@@ -158,6 +163,7 @@ export class NetworkPanel {
 
   #plot() {
     this.#plotLevels();
+    this.#plotQuality();
     this.#plotBits();
   }
 
@@ -180,6 +186,24 @@ export class NetworkPanel {
       const top = (height * bits) / most;
       pen.fillRect(k * step, height - top, Math.ceil(step), top);
     });
+    this.#name(pen, most > 1 ? `Mbit/s, top ${(most * 1e-6).toPrecision(2)}` : "Mbit/s");
+  }
+
+  // A line from 0, nothing but stand-ins, to 1, everything there.
+  #plotQuality() {
+    const { pen, height, step } = this.#pen("canvas.quality");
+    pen.strokeStyle = "#9bd88a";
+    pen.lineWidth = 2;
+    pen.beginPath();
+    this.#qualities.forEach((quality, k) => pen.lineTo((k + 0.5) * step, 1 + (height - 2) * (1 - quality)));
+    pen.stroke();
+    this.#name(pen, "quality, about; top 100 %");
+  }
+
+  #name(pen, text) {
+    pen.fillStyle = "#f2f2f2";
+    pen.font = "11px system-ui, sans-serif";
+    pen.fillText(text, 4, pen.canvas.height - 4);
   }
 
   #plotLevels() {

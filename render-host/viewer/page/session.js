@@ -10,7 +10,7 @@ export const MAX_WAITING = 1024;
 const MAX_ROUNDS = 8;
 
 // What blocks can be painted by, in the decoder's order.
-export const OVERLAYS = ["none", "levels", "arrivals", "coverage"];
+export const OVERLAYS = ["none", "levels", "arrivals", "missing"];
 
 /** `overlay`, if it is one. */
 export function checkedOverlay(overlay) {

@@ -23,6 +23,9 @@ input[type=color] { width: 36px; height: 36px; padding: 2px; background: #222d; 
 .message { position: absolute; inset: 50% 0 auto 0; transform: translateY(-50%); text-align: center; padding: 0 1.5rem;
   pointer-events: none; text-shadow: 0 0 4px #000; }
 .message:empty { display: none; }
+.painted { position: absolute; top: 8px; left: 8px; max-width: min(24em, calc(100% - 16px)); margin: 0; padding: 2px 8px;
+  border-radius: 6px; background: #111c; font-size: 12px; pointer-events: none; }
+.painted:empty { display: none; }
 .network { position: absolute; top: 8px; right: 8px; width: min(280px, calc(100% - 16px)); background: #111d;
   border-radius: 8px; padding: 8px; max-height: calc(100% - 84px); overflow: auto; }
 .network[hidden] { display: none; }
@@ -33,7 +36,7 @@ input[type=color] { width: 36px; height: 36px; padding: 2px; background: #222d; 
 .network .where:empty { display: none; }
 .network output { text-align: right; font-variant-numeric: tabular-nums; }
 .network input[type=range] { min-height: 28px; width: 100%; accent-color: #6db3ff; }
-.network canvas.bits { height: 36px; }
+.network canvas:is(.bits, .quality) { height: 36px; }
 .network canvas { display: block; width: 100%; height: 72px; margin-top: 6px; background: #000; border-radius: 4px; }
 .legend { display: flex; flex-wrap: wrap; gap: 2px 10px; margin: 6px 0 0; padding: 0; list-style: none; font-size: 12px; }
 .legend i { display: inline-block; width: 10px; height: 10px; border-radius: 2px; margin-right: 4px; }

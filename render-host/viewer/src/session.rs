@@ -407,10 +407,11 @@ impl Session {
                 .unwrap_or_else(|_| Splats::plain(frame.gaussians));
             return Ok(Shown { splats, only_moved });
         }
-        let shown = if overlay == Overlay::Arrivals { &content } else { &capped };
+        // What has come, whatever the cap; but levels as they are shown.
+        let shown = if overlay == Overlay::Levels { &capped } else { &content };
         let painted = self.painter.paint(frame.gaussians, epoch.0, Span::Canonical(epoch), shown)?;
-        // Coverage is of the frame.
-        let only_moved = only_moved && overlay != Overlay::Coverage;
+        // What a block covers is of the frame.
+        let only_moved = only_moved && overlay != Overlay::Missing;
         Ok(Shown { splats: Splats::plain(painted), only_moved })
     }
 

@@ -19,7 +19,7 @@ pub const KEYS: [(&str, &str); 18] = [
     ("0", "first view"),
     ("U", "another way up"),
     ("1 2 3 4", "highest level shown"),
-    ("O", "paint blocks by level, by what just came, by coverage"),
+    ("O", "paint blocks by level, by what just came, by what is missing"),
     ("[ ]", "lose fewer or more packets"),
     ("N", "lose others"),
     ("B", "another background"),

@@ -28,6 +28,13 @@ pub(super) struct Pair {
     pub(super) b: Source,
 }
 
+impl Pair {
+    /// Whether any of its pictures is a render.
+    pub(super) fn is_rendered(&self) -> bool {
+        [&self.a, &self.b].into_iter().any(|source| matches!(source, Source::Render(_)))
+    }
+}
+
 /// Where one picture of a pair comes from.
 #[derive(Clone)]
 pub(super) enum Source {

@@ -36,6 +36,11 @@ pub(super) fn find() -> Result<(&'static str, &'static [&'static str])> {
     })
 }
 
+/// The constant rate factor, 0 (best) to 51, of a quality of 1 to 100.
+fn crf(quality: u8) -> u8 {
+    (51.0 * (1.0 - f64::from(quality) / 100.0)).round() as u8
+}
+
 /// A video on its way.
 pub struct FfmpegVideo {
     child: Child,
@@ -47,9 +52,26 @@ pub struct FfmpegVideo {
 }
 
 impl FfmpegVideo {
-    /// Begins a video of pictures of `size` (width, height). Odd sides are padded by a row or column.
-    pub(super) fn begin(target: &Path, size: (u32, u32), frames_per_second: f64) -> Result<Self> {
-        let (encoder, quality) = find()?;
+    /// Begins a video of pictures of `size` (width, height) at `quality`, 1 to 100. Odd sides are padded by a
+    /// row or column.
+    pub(super) fn begin(
+        target: &Path,
+        size: (u32, u32),
+        frames_per_second: f64,
+        quality: Option<u8>,
+    ) -> Result<Self> {
+        let (encoder, usual) = find()?;
+        if quality.is_some() && encoder != "libx264" {
+            bail!(
+                "--quality: the installed ffmpeg has no libx264, which takes one; left out, it is the usual"
+            );
+        }
+        let options: Vec<String> = match quality {
+            Some(quality) => {
+                ["-crf", &crf(quality).to_string(), "-preset", "medium"].map(str::to_owned).into()
+            }
+            None => usual.iter().map(|&option| option.to_owned()).collect(),
+        };
         let pending = PendingFile::begin(target)?;
         let log = tempfile::tempfile().context("ffmpeg: cannot keep what it says")?;
         let child = Command::new("ffmpeg")
@@ -61,7 +83,7 @@ impl FfmpegVideo {
             .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv"])
             .args(["-pix_fmt", "yuv420p", "-colorspace", "bt709", "-color_primaries", "bt709"])
             .args(["-color_trc", "bt709", "-c:v", encoder])
-            .args(quality)
+            .args(options)
             .args(["-f", "mp4"])
             .arg(pending.path())
             .stdin(Stdio::piped())
@@ -103,5 +125,15 @@ impl FfmpegVideo {
         let _ = self.log.rewind().and_then(|()| self.log.read_to_string(&mut text));
         let last = text.lines().map(str::trim).rfind(|line| !line.is_empty());
         last.unwrap_or("it says nothing").to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::crf;
+
+    #[test]
+    fn qualities_are_rate_factors() {
+        assert_eq!([1, 67, 100].map(crf), [50, 17, 0]);
     }
 }

@@ -3,11 +3,13 @@
 //! Every edit takes a scene and gives another, whose arrays have passed [`Epoch::new`] again. Inside an
 //! epoch a Gaussian is kept for all frames or for none, so identity stays what it was.
 
+mod decimate;
 mod select;
 mod transform;
 
 pub use self::{
-    select::{Bounds, Condition, crop, decimate, filter},
+    decimate::decimate,
+    select::{Bounds, Condition, crop, filter},
     transform::{Similarity, transform, turn_between},
 };
 

@@ -16,6 +16,7 @@ pub mod rendered;
 use std::path::Path;
 
 pub use error::DatasetError;
+pub use panoptic::cameras as panoptic_cameras;
 
 use render_host::camera::DEFAULT_NEAR;
 

@@ -6,7 +6,7 @@ use codec_core::internals::{ids::Span, receiver::Content};
 use dgs_player::Result;
 use render_host::Gaussian;
 
-use super::quality::{BlockOfFrame, LEVELS, blocks_of, coverage};
+use super::quality::{BlockOfFrame, LEVELS, blocks_of, missing};
 
 /// Colours of what a block is shown at: its proxy, its base, refinements 1 to 3. People with any colour
 /// vision tell them apart.
@@ -19,8 +19,8 @@ pub(super) const SH0: f32 = 0.282_094_79;
 const BRIGHT_S: f64 = 1.0;
 /// Colours of a block that has just gained a level, and of one that has not for long.
 const ARRIVALS: [[f32; 3]; 2] = [[1.0, 0.92, 0.35], [0.14, 0.15, 0.20]];
-/// From the least to the most coverage; brightness rises with it.
-const COVERAGE: [[f32; 3]; 5] =
+/// From nothing that is missing to the most that can be; brightness rises with it.
+const MISSING: [[f32; 3]; 5] =
     [[0.10, 0.05, 0.30], [0.40, 0.10, 0.45], [0.75, 0.25, 0.35], [0.95, 0.55, 0.20], [0.98, 0.95, 0.60]];
 
 /// What blocks are painted by.
@@ -33,14 +33,15 @@ pub enum Overlay {
     Levels,
     /// How long ago they gained a level: bright at first, dark after a second.
     Arrivals,
-    /// How much of a picture they can cover, opacity times area of the largest cross-section, as a share of
-    /// the block that covers most: a stand-in for utility, of which receivers have no table.
-    Coverage,
+    /// The utility of what has not come, estimated, since receivers have no table of utilities: opacity times
+    /// area of the largest cross-section, times the share of the error that is left at the levels that came;
+    /// as a share of the most that it is of any block without a level.
+    Missing,
 }
 
 impl Overlay {
     /// All of them, in the order in which a key goes through them.
-    pub const ALL: [Self; 4] = [Self::None, Self::Levels, Self::Arrivals, Self::Coverage];
+    pub const ALL: [Self; 4] = [Self::None, Self::Levels, Self::Arrivals, Self::Missing];
 
     /// The one of this name; `None` where there is none.
     pub fn named(name: &str) -> Option<Self> {
@@ -56,7 +57,7 @@ impl Overlay {
 }
 
 /// Names of all overlays.
-const NAMES: [&str; 4] = ["none", "levels", "arrivals", "coverage"];
+const NAMES: [&str; 4] = ["none", "levels", "arrivals", "missing"];
 
 /// An epoch, a cluster of it and a block of that.
 type BlockPlace = (u16, u16, usize);
@@ -109,18 +110,17 @@ impl Painter {
         self.painted.extend_from_slice(gaussians);
         let is_first = self.grown.range((epoch, 0, 0)..=(epoch, u16::MAX, usize::MAX)).next().is_none();
         let blocks = blocks_of(content, span, gaussians.len())?;
-        let coverages: Vec<f32> = match self.overlay {
-            Overlay::Coverage => blocks.iter().map(|b| coverage(&gaussians[b.gaussians.clone()])).collect(),
-            _ => vec![0.0; blocks.len()],
+        let (utilities, most) = match self.overlay {
+            Overlay::Missing => missing(&blocks, gaussians),
+            _ => (vec![0.0; blocks.len()], 1.0),
         };
-        let most = coverages.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
-        for (block, coverage) in blocks.into_iter().zip(coverages) {
+        for (block, utility) in blocks.into_iter().zip(utilities) {
             let BlockOfFrame { cluster, block, usable, gaussians } = block;
             let place = (epoch, cluster.0, block);
             let colour = match self.overlay {
                 Overlay::None | Overlay::Levels => LEVEL_COLOURS[usable],
                 Overlay::Arrivals => self.arrival_colour(place, usable, is_first),
-                Overlay::Coverage => ramp(&COVERAGE, (coverage / most).sqrt()),
+                Overlay::Missing => ramp(&MISSING, (utility / most).sqrt()),
             };
             let sh0 = colour.map(|c| (c - 0.5) / SH0);
             self.painted[gaussians].iter_mut().for_each(|gaussian| gaussian.sh0 = sh0);

@@ -51,13 +51,26 @@ pub(super) fn blocks_of(content: &Content, span: Span, count: usize) -> Result<V
 }
 
 /// How much of a picture Gaussians can cover: the sum of opacity times area of the largest cross-section.
-pub(super) fn coverage(gaussians: &[Gaussian]) -> f32 {
+fn coverage(gaussians: &[Gaussian]) -> f32 {
     let of_one = |gaussian: &Gaussian| {
         let [x, y, z] = gaussian.scale;
         let area = (x * y).max(y * z).max(z * x);
         if area.is_finite() { gaussian.opacity * area } else { 0.0 }
     };
     gaussians.iter().map(of_one).sum()
+}
+
+/// Of each block, how much error of a picture what has not come would take away, estimated; and the most that
+/// it is of any of them without a level.
+pub(super) fn missing(blocks: &[BlockOfFrame], gaussians: &[Gaussian]) -> (Vec<f32>, f32) {
+    let mut most = f32::MIN_POSITIVE;
+    let of_block = |block: &BlockOfFrame| {
+        let covered = coverage(&gaussians[block.gaussians.clone()]);
+        most = most.max(covered);
+        covered * (1.0 - GONE[block.usable])
+    };
+    let each = blocks.iter().map(of_block).collect();
+    (each, most)
 }
 
 /// An estimate between 0, nothing but stand-ins, and 1, everything there: the share of the error that is

@@ -92,19 +92,27 @@ fn what_has_just_come_is_bright_for_a_second() {
 }
 
 #[test]
-fn coverage_is_of_the_block_that_covers_most_and_moves_nothing() {
+fn what_is_missing_is_bright_by_what_it_would_add_and_moves_nothing() {
     let mut session = session();
     let plain = shown(&mut session);
-    let colours = painted(&mut session, Overlay::Coverage);
-    let brightness = |colour: &[f32; 3]| colour.iter().sum::<f32>();
-    let brightest = colours.iter().map(brightness).fold(0.0, f32::max);
-    assert!(
-        (brightest - 2.53).abs() < 1e-3,
-        "{brightest}: the block that covers most is at the end of the colours"
-    );
-    assert!(colours.iter().any(|colour| brightness(colour) < 0.9 * brightest));
+    let brightness = |colours: &[[f32; 3]]| -> Vec<f32> {
+        colours.iter().map(|colour| colour.iter().sum::<f32>()).collect()
+    };
+    let most = |values: &[f32]| values.iter().copied().fold(0.0, f32::max);
+    let dark = brightness(&painted(&mut session, Overlay::Missing));
+    assert!((most(&dark) - 0.45).abs() < 1e-3, "nothing is missing: {}", most(&dark));
     let after = shown(&mut session);
     assert!(plain.iter().zip(&after).all(|(a, b)| a.position == b.position && a.scale == b.scale));
+    // Half is lost: what misses more levels of the same block is brighter, and nothing is darker than before.
+    session.impair(Conditions { loss: 0.5, seed: 2, ..Conditions::default() }).unwrap();
+    session.deliver(0.0);
+    let half = brightness(&painted(&mut session, Overlay::Missing));
+    assert!(most(&half) > most(&dark) + 0.3, "{}", most(&half));
+    session.impair(Conditions { loss: 1.0, ..Conditions::default() }).unwrap();
+    session.deliver(0.0);
+    let none = brightness(&painted(&mut session, Overlay::Missing));
+    assert!((most(&none) - 2.53).abs() < 1e-3, "the block that covers most is at the end: {}", most(&none));
+    session.impair(Conditions::default()).unwrap();
     assert_eq!(painted(&mut session, Overlay::None).len(), plain.len());
     assert_eq!(shown(&mut session), plain);
     assert_eq!(Overlay::ALL.map(Overlay::next)[3], Overlay::None);

@@ -1,4 +1,4 @@
-//! Chooses the Gaussians that stay: by where they are, by what they are, or by how much they show.
+//! Chooses the Gaussians that stay: by where they are, or by what they are.
 
 use std::{cmp::Ordering, str::FromStr};
 
@@ -141,42 +141,6 @@ pub fn crop(scene: &Scene, bounds: &Bounds) -> Result<Scene, EditError> {
 /// No Gaussian does.
 pub fn filter(scene: &Scene, condition: &Condition) -> Result<Scene, EditError> {
     selected(scene, "filter", |epoch, t, i| condition.is_met(epoch, t, i))
-}
-
-/// The `share` (above 0, at most 1) of each epoch's Gaussians that shows most: opacity times the area of the
-/// two longer axes, at the frame where it is greatest. What stays is not made larger.
-///
-/// # Errors
-/// A share out of range.
-pub fn decimate(scene: &Scene, share: f64) -> Result<Scene, EditError> {
-    if !(share > 0.0 && share <= 1.0) {
-        let allowed = "above 0, at most 1";
-        return Err(EditError::Range { field: "share of Gaussians", found: share, allowed });
-    }
-    edited(scene, |epoch| {
-        let n = epoch.count();
-        let left = ((n as f64 * share).round() as usize).clamp(n.min(1), n);
-        let mut shown = vec![0.0f32; n];
-        for t in distinct_frames(epoch) {
-            for (i, most) in shown.iter_mut().enumerate() {
-                *most = most.max(area(epoch, t, i));
-            }
-        }
-        let mut order: Vec<usize> = (0..n).collect();
-        // Ties go to the row that comes first.
-        order.sort_by(|&i, &j| shown[j].total_cmp(&shown[i]).then(i.cmp(&j)));
-        let mut stays = vec![false; n];
-        order[..left].iter().for_each(|&i| stays[i] = true);
-        rows(epoch, &stays)
-    })
-}
-
-/// Opacity times the product of the two longer standard deviations.
-fn area(epoch: &Epoch, t: usize, i: usize) -> f32 {
-    let (n, a) = (epoch.count(), epoch.attributes());
-    let logs = a.log_scales.frame(t, n)[i];
-    let least = logs.into_iter().fold(f32::MAX, f32::min);
-    opacity(a.opacity_logits.frame(t, n)[i]) * (logs.iter().sum::<f32>() - least).exp()
 }
 
 /// Frames of an epoch that differ: the first alone if nothing moves.

@@ -11,7 +11,7 @@ use codec_core::Footprint;
 use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use rayon::prelude::*;
-use render_host::Camera;
+use render_host::{Camera, camera::View};
 use serde::Deserialize;
 
 use super::{
@@ -72,11 +72,14 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
     })
 }
 
-fn split(folder: &Path, file: &str) -> Result<Vec<PosedPhotograph>, DatasetError> {
-    let path = folder.join(file);
-    let bytes = read_bytes(&path)?;
+/// The cameras of a meta file, frame after frame, with their times.
+///
+/// # Errors
+/// A file that cannot be read, or is none, by field.
+pub fn cameras(path: &Path) -> Result<Vec<View>, DatasetError> {
+    let bytes = read_bytes(path)?;
     let refused = |field: String, found: String, allowed| DatasetError::Field {
-        path: path.clone(),
+        path: path.to_owned(),
         field,
         found,
         allowed,
@@ -101,13 +104,20 @@ fn split(folder: &Path, file: &str) -> Result<Vec<PosedPhotograph>, DatasetError
         }
     }
     let view = |(frame, name, k, w2c): (usize, &String, [[f64; 3]; 3], [[f64; 4]; 4])| {
-        let image = folder.join("ims").join(name);
-        let (photograph, _) = read_photograph(&image)?;
-        let camera = Camera::from_opencv(k, w2c, meta.w, meta.h)
-            .and_then(|camera| camera.with_near(NEAR))
-            .map_err(|source| DatasetError::Cameras { path: image.clone(), source })?;
-        let time = frame as f32 / frames.saturating_sub(1).max(1) as f32;
-        let mask = folder.join("seg").join(name).with_extension("png");
+        let camera =
+            Camera::from_opencv(k, w2c, meta.w, meta.h).and_then(|camera| camera.with_near(NEAR)).map_err(
+                |source| refused(format!("camera {name}"), source.to_string(), "a pinhole camera is needed"),
+            )?;
+        let time = frame as f64 / frames.saturating_sub(1).max(1) as f64;
+        Ok(View { name: name.clone(), time: Some(time), camera })
+    };
+    wanted.into_iter().map(view).collect()
+}
+
+fn split(folder: &Path, file: &str) -> Result<Vec<PosedPhotograph>, DatasetError> {
+    let photographed = |View { name, time, camera }: View| {
+        let (photograph, _) = read_photograph(&folder.join("ims").join(&name))?;
+        let mask = folder.join("seg").join(&name).with_extension("png");
         let has_masks = mask.parent().is_some_and(Path::is_dir);
         let foreground = has_masks.then(|| read_mask(&mask)).transpose()?;
         let own = (photograph.width(), photograph.height());
@@ -119,9 +129,10 @@ fn split(folder: &Path, file: &str) -> Result<Vec<PosedPhotograph>, DatasetError
                 allowed: "that of its image in ims is needed",
             });
         }
-        Ok(PosedPhotograph { name: name.clone(), camera, time, photograph, foreground, counted: None })
+        let time = time.unwrap_or(0.0) as f32;
+        Ok(PosedPhotograph { name, camera, time, photograph, foreground, counted: None })
     };
-    wanted.into_par_iter().map(view).collect()
+    cameras(&folder.join(file))?.into_par_iter().map(photographed).collect()
 }
 
 /// The box that the cameras stand in.
