@@ -2,16 +2,16 @@
 /* eslint-disable */
 
 /**
- * See the module.
+ * Clock, camera and background of a viewer, for JavaScript.
  */
 export class Controls {
     free(): void;
     [Symbol.dispose](): void;
     /**
      * Lets `dt` seconds pass: 1 the clip began again, 2 it ended, 4 it waits for a base level, or nothing of
-     * these. It waits up to `patience` seconds for frames of `missing`: first and past of each range.
+     * these. It waits up to `base_timeout` seconds for frames of `missing`: first and past of each range.
      */
-    advance(dt_s: number, patience_s: number, missing: Uint32Array | number[]): number;
+    advance(dt_s: number, base_timeout_s: number, missing: Uint32Array | number[]): number;
     /**
      * The camera of a picture: rotation (9, row by row), translation (3), focal lengths and principal point,
      * near plane. For tests.
@@ -205,6 +205,10 @@ export class Decoder {
      */
     wanted(): Float64Array;
     /**
+     * How long a clock waits for a base level, seconds.
+     */
+    readonly base_timeout: number;
+    /**
      * A number that changes with what is shown, but for the frame.
      */
     readonly content: number;
@@ -220,10 +224,6 @@ export class Decoder {
      * Share of the file that is there.
      */
     readonly loaded: number;
-    /**
-     * How long a clock waits for a base level, seconds.
-     */
-    readonly patience: number;
     /**
      * Which way is up: `y`, `minus-z` and so on.
      */
@@ -368,6 +368,7 @@ export interface InitOutput {
     readonly controls_up: (a: number) => [number, number];
     readonly controls_view: (a: number) => [number, number];
     readonly controls_zoom: (a: number, b: number) => void;
+    readonly decoder_base_timeout: (a: number) => number;
     readonly decoder_bounds: (a: number) => [number, number, number, number];
     readonly decoder_choose: (a: number, b: number, c: number) => void;
     readonly decoder_content: (a: number) => number;
@@ -386,7 +387,6 @@ export interface InitOutput {
     readonly decoder_open: (a: number, b: number) => [number, number, number];
     readonly decoder_pack: (a: number, b: number) => [number, number, number];
     readonly decoder_packets: (a: number) => [number, number];
-    readonly decoder_patience: (a: number) => number;
     readonly decoder_push: (a: number, b: number, c: number) => void;
     readonly decoder_quality: (a: number) => number;
     readonly decoder_receipt: (a: number, b: number, c: number) => [number, number, number, number];

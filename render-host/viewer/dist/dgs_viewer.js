@@ -1,7 +1,7 @@
 /* @ts-self-types="./dgs_viewer.d.ts" */
 
 /**
- * See the module.
+ * Clock, camera and background of a viewer, for JavaScript.
  */
 export class Controls {
     __destroy_into_raw() {
@@ -16,15 +16,15 @@ export class Controls {
     }
     /**
      * Lets `dt` seconds pass: 1 the clip began again, 2 it ended, 4 it waits for a base level, or nothing of
-     * these. It waits up to `patience` seconds for frames of `missing`: first and past of each range.
+     * these. It waits up to `base_timeout` seconds for frames of `missing`: first and past of each range.
      * @param {number} dt_s
-     * @param {number} patience_s
+     * @param {number} base_timeout_s
      * @param {Uint32Array | number[]} missing
      * @returns {number}
      */
-    advance(dt_s, patience_s, missing) {
+    advance(dt_s, base_timeout_s, missing) {
         const val2 = +dt_s;
-        const val3 = +patience_s;
+        const val3 = +base_timeout_s;
         const ptr0 = passArray32ToWasm0(missing, wasm.__wbindgen_malloc);
         const len0 = WASM_VECTOR_LEN;
         const ret = wasm.controls_advance(this.__wbg_ptr, val2, val3, ptr0, len0);
@@ -305,6 +305,14 @@ export class Decoder {
         wasm.__wbg_decoder_free(ptr, 0);
     }
     /**
+     * How long a clock waits for a base level, seconds.
+     * @returns {number}
+     */
+    get base_timeout() {
+        const ret = wasm.decoder_base_timeout(this.__wbg_ptr);
+        return ret;
+    }
+    /**
      * Where the Gaussians of the frame are: their middle (3), and a radius.
      * @returns {Float64Array}
      */
@@ -512,14 +520,6 @@ export class Decoder {
         var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
         wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
         return v1;
-    }
-    /**
-     * How long a clock waits for a base level, seconds.
-     * @returns {number}
-     */
-    get patience() {
-        const ret = wasm.decoder_patience(this.__wbg_ptr);
-        return ret;
     }
     /**
      * Takes a packet that a server sent.

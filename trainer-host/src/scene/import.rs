@@ -30,7 +30,7 @@ pub mod gltf_splats;
 pub mod ksplat;
 mod limits;
 mod meshopt;
-pub(crate) mod nearest;
+pub mod nearest;
 pub mod ply;
 pub mod points_npz;
 mod sequence;

@@ -33,7 +33,7 @@ const MAX_LINKS: usize = 1024;
 /// Most bytes inside a link that a viewer has asked for; more are lost.
 const MAX_VIEWER_BYTES: u64 = 1 << 20;
 
-/// As the emulator calls the way to a viewer: the same seed gives the same luck.
+/// As the emulator calls the way to a viewer: the same seed gives the same losses.
 const LABEL: &str = "forward";
 
 /// A link before a viewer.
