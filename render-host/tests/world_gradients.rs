@@ -153,7 +153,7 @@ fn nothing_is_differentiated_to_nothing_and_what_is_refused_is_named() {
     let none = engine.gradients(&variants, &States::new(4), &[]).unwrap();
     assert!(none.loss == 0.0 && none.splats.iter().all(|g| *g == SplatGradient::default()));
     let error = engine.gradients(&variants, &case.states, &[1.0]).unwrap_err().to_string();
-    assert!(error.contains("2 finite rng"), "{error}");
+    assert!(error.contains("2 finite numbers"), "{error}");
     assert!(engine.gradients(&variants, &case.states, &[1.0, f64::NAN]).is_err());
     let few = Variants::new(render_host::Splats::plain(&[]), &[], 4).unwrap();
     let error = engine.gradients(&few, &case.states, &[1.0, 1.0]).unwrap_err().to_string();

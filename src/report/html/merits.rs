@@ -53,7 +53,7 @@ type Detail = (&'static str, &'static str, fn(&SchedulerRun) -> String);
 const DETAILS: [Detail; 23] = [
     ("Congestion controller", "", |r| escape(&r.delivery.controller)),
     ("Seed of the path", "", |r| r.delivery.seed.to_string()),
-    ("Utility that no schedule passes", "share, 0–1", |r| r.utility_bound.map_or("—".to_owned(), |most| number(most, 3))),
+    ("Utility that no schedule passes", "share, 0–1", |r| number(r.utility_bound.unwrap_or(f64::NAN), 3)),
     ("Session length", "s", |r| number(r.delivery.duration_ns.as_s(), 3)),
     ("Frames shown / all", "frames", |r| format!("{} / \
         {}", r.frames.iter().filter(|f| f.time_s.is_some()).count(), r.frames.len())),

@@ -41,8 +41,8 @@ pub fn run(_: &Setup) -> Result<Bench> {
         let cycles = cycles(&tree, &folder);
         let files: usize = cycles.iter().map(Vec::len).sum();
         bench.push(Figure::new(format!("public_items.{name}"), public_items(&tree, &folder) as f64, "items"));
-        bench.push(Figure::new(format!("cycles.{name}"), cycles.len() as f64, "cycles"));
-        bench.push(Figure::new(format!("cycles.{name}.files"), files as f64, "files"));
+        bench.push(Figure::new(format!("circles.{name}"), cycles.len() as f64, "circles"));
+        bench.push(Figure::new(format!("circles.{name}.files"), files as f64, "files"));
     }
     for walk in walks(&tree) {
         let (key, entries) = (format!("walk.{}", walk.name), walk.entries());

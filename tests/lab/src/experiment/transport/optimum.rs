@@ -103,7 +103,7 @@ fn schedulers() -> Vec<(String, Option<PolicyKind>, DeadlineUtilityConfig)> {
     let mut all: Vec<_> =
         PolicyKind::ALL.into_iter().map(|kind| (kind.name().to_owned(), Some(kind), full)).collect();
     let without = [
-        ("max_queue_delay", DeadlineUtilityConfig { max_queue_delay: None, ..full }),
+        ("own_queue", DeadlineUtilityConfig { max_queue_delay: None, ..full }),
         ("lost_compete", DeadlineUtilityConfig { lost_compete: false, ..full }),
         ("credit", DeadlineUtilityConfig { credit: false, ..full }),
         ("arrival_from_queue", DeadlineUtilityConfig { arrival_from_queue: false, ..full }),
