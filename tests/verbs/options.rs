@@ -166,7 +166,7 @@ fn quality_is_of_what_is_lossy() {
     stopped(at, &["render", "synth:figure:1000:3", "-o", "a.jpg", "--quality", "0"], 64);
 }
 
-/// A number below 0 that is taken for an option is told how to be typed, and never to go behind `--`.
+/// The error for a number below 0 that is taken for an option suggests `--OPTION=VALUE`, never `--`.
 #[test]
 fn numbers_below_zero_are_never_taken_for_files() {
     let folder = tempfile::tempdir().unwrap();

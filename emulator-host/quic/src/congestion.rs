@@ -1,5 +1,6 @@
 //! Builds the congestion controllers of connections: those of `quinn`, and SCReAM of `emulator-host`.
 
+mod path_watch;
 mod watched;
 
 use std::{any::Any, sync::Arc, time::Instant};
@@ -13,7 +14,8 @@ use quinn_proto::{
     congestion::{BbrConfig, Controller, ControllerFactory, CubicConfig, NewRenoConfig},
 };
 
-pub(crate) use watched::{Factory, Watch, Watched};
+pub(crate) use path_watch::PathWatch;
+pub(crate) use watched::{Factory, Observer, Watched, WatchedFactory};
 
 /// What governs how much of a connection may be on its way. `quinn` paces all of them alike: a window is
 /// spread over four fifths of a round trip.
@@ -65,12 +67,10 @@ impl CongestionControl {
             Self::Scream => Arc::new(ScreamConfig { datagram_bytes }),
         }
     }
-}
 
-impl CongestionControl {
-    /// As [`Self::factory`], with a [`Watch`] on each.
+    /// As [`Self::factory`], each with a [`PathWatch`] of its own.
     pub(crate) fn watched(self, datagram_bytes: u16) -> Factory {
-        Arc::new(watched::WatchedFactory(self.factory(datagram_bytes)))
+        Arc::new(WatchedFactory { inner: self.factory(datagram_bytes), observer: PathWatch::default })
     }
 }
 
@@ -91,7 +91,7 @@ impl ControllerFactory for ScreamConfig {
     }
 }
 
-/// SCReAM, told what `quinn` tells.
+/// SCReAM behind the interface of `quinn`.
 #[derive(Clone)]
 pub(crate) struct ScreamController {
     inner: Scream,
@@ -165,21 +165,21 @@ mod tests {
         let began = Instant::now();
         let at = |ms| began + Duration::from_millis(ms);
         let factory = CongestionControl::NewReno.watched(1200);
-        let mut controller = factory.build(began, 1200).into_any().downcast::<Watched>().unwrap();
-        let watch = controller.watch.clone();
+        let mut controller = factory.build(began, 1200).into_any().downcast::<Watched<PathWatch>>().unwrap();
+        let watch = controller.observer.clone();
         // Two datagrams together, one alone, and an acknowledgement.
         controller.on_sent(at(1), 1200, 0);
         controller.on_sent(at(1), 2400, 1);
         controller.on_sent(at(2), 1000, 2);
         controller.on_sent(at(3), 40, 3);
-        assert_eq!(watch.look().in_flight, 3400);
+        assert_eq!(watch.state().in_flight, 3400);
         controller.on_congestion_event(at(40), at(1), false, 1200);
-        assert_eq!(watch.look().in_flight, 2200);
+        assert_eq!(watch.state().in_flight, 2200);
         controller.on_end_acks(at(41), 1000, false, Some(1));
-        assert_eq!(watch.look().in_flight, 1000);
+        assert_eq!(watch.state().in_flight, 1000);
         // A copy, as the transport gives it away, is of the same connection.
-        let copy = controller.clone_box().into_any().downcast::<Watched>().unwrap();
-        copy.watch.forget(at(50));
-        assert_eq!((watch.look().least, controller.window()), (None, 6000));
+        let copy = controller.clone_box().into_any().downcast::<Watched<PathWatch>>().unwrap();
+        copy.observer.reset_least_rtt(at(50));
+        assert_eq!((watch.state().least_rtt, controller.window()), (None, 6000));
     }
 }

@@ -27,7 +27,7 @@ const TEMPLATE = `
 </div>
 <dialog aria-label="Keys"><dl></dl><form method="dialog"><button>Close</button></form></dialog>`;
 
-// What colours mean, for whoever looks on.
+// What the colours of an overlay mean, as shown on the picture.
 const PAINTED = {
   none: "",
   levels: "Painted by level: red stands in, yellow to blue are base and refinements",

@@ -107,7 +107,7 @@ class Flying {
     this.#held.delete(key);
   }
 
-  /** All are: whoever looks elsewhere does not say when. */
+  /** All keys are let go: without the focus no event says so. */
   stop() {
     this.#held.clear();
   }

@@ -40,8 +40,8 @@ pub(crate) struct Engine {
     options: WindowOptions,
     feed: Feed,
     session: Option<Session>,
-    /// The last piece of a file that was wished for.
-    wished: Option<FeedRequest>,
+    /// The last piece of a file that was asked for.
+    requested: Option<FeedRequest>,
     /// The network that the server was last asked for.
     network: Option<Conditions>,
     /// Where the camera was when the server last heard of it.
@@ -71,7 +71,7 @@ impl Engine {
             options,
             feed,
             session: None,
-            wished: None,
+            requested: None,
             network: None,
             said: None,
             drawn: None,
@@ -96,16 +96,16 @@ impl Engine {
         }
         let Some(session) = &mut self.session else { return Ok(()) };
         let before = self.network.unwrap_or(session.conditions());
-        // A server, if it grants that, chooses packets for the network that is wished for.
-        let wished = act.network(before).filter(|_| session.is_live());
-        if let Some(conditions) = wished {
-            self.network = wished;
-            self.feed.wish(FeedRequest::Network(conditions));
+        // A server, if it grants that, chooses packets for the network that is asked for.
+        let requested = act.network(before).filter(|_| session.is_live());
+        if let Some(conditions) = requested {
+            self.network = requested;
+            self.feed.request(FeedRequest::Network(conditions));
         } else {
             act.apply(session, size)?;
         }
-        if act.seeks() || wished.is_some() {
-            self.feed.wish(FeedRequest::From(session.playback().time_s()));
+        if act.seeks() || requested.is_some() {
+            self.feed.request(FeedRequest::From(session.playback().time_s()));
         }
         Ok(())
     }
@@ -113,7 +113,7 @@ impl Engine {
     /// Plays the stream of `feed` in place of what is played.
     pub fn play(&mut self, name: String, feed: Feed) {
         self.options.name = name;
-        (self.feed, self.session, self.wished, self.said) = (feed, None, None, None);
+        (self.feed, self.session, self.requested, self.said) = (feed, None, None, None);
         self.network = None;
         (self.drawn, self.state, self.last_s) = (None, None, None);
     }
@@ -176,13 +176,13 @@ impl Engine {
         self.last_s = Some(now_s);
         let step = session.advance(passed);
         if step.looped {
-            self.feed.wish(FeedRequest::From(session.playback().time_s()));
+            self.feed.request(FeedRequest::From(session.playback().time_s()));
         }
         self.ended |= step.ended;
         // A server sends first what is seen.
         let pose = session.orbit().pose().filter(|pose| session.is_live() && self.said != Some(*pose));
         if let Some(pose) = pose {
-            self.feed.wish(FeedRequest::Sight(pose));
+            self.feed.request(FeedRequest::Sight(pose));
             self.said = Some(pose);
         }
         let busy = session.deliver(now_s);
@@ -247,21 +247,21 @@ impl Engine {
         }
     }
 
-    /// Takes what has arrived, and wishes for what is wanted next.
+    /// Takes what has arrived, and asks for what is wanted next.
     fn take_arrivals(&mut self, size: [u32; 2]) -> Result<(), WindowError> {
         for _ in 0..MAX_ARRIVALS {
             let Some(arrival) = self.feed.next() else { break };
             self.take(arrival, size)?;
         }
         let Some(session) = &self.session else { return Ok(()) };
-        let wish = match session.wanted() {
+        let request = match session.wanted() {
             Wanted::Range(range) => FeedRequest::Bytes(range),
             Wanted::Whole => FeedRequest::Whole,
             Wanted::Nothing => return Ok(()),
         };
-        if self.wished.as_ref() != Some(&wish) {
-            self.feed.wish(wish.clone());
-            self.wished = Some(wish);
+        if self.requested.as_ref() != Some(&request) {
+            self.feed.request(request.clone());
+            self.requested = Some(request);
         }
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! A feed brings a stream to the window from another thread, and takes back what the window wishes for.
+//! A feed brings a stream to the window from another thread, and takes back what the window asks for.
 
 use std::{
     ops::Range,
@@ -34,7 +34,7 @@ pub enum Arrival {
     Manifest(Vec<u8>),
     /// A packet of it.
     Packet(Vec<u8>),
-    /// What the server makes of the network that was wished for: whether it emulates it. If not, the window
+    /// What the server makes of the network that was asked for: whether it emulates it. If not, the window
     /// does.
     Network {
         /// Whether it does.
@@ -46,7 +46,7 @@ pub enum Arrival {
     End(Option<String>),
 }
 
-/// What the window wishes for.
+/// What the window asks for.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FeedRequest {
     /// These bytes of the file.
@@ -65,7 +65,7 @@ pub enum FeedRequest {
 #[derive(Debug)]
 pub struct Feed {
     arrivals: Receiver<Arrival>,
-    wishes: Sender<FeedRequest>,
+    requests: Sender<FeedRequest>,
     open: bool,
 }
 
@@ -74,15 +74,15 @@ pub struct Feed {
 pub struct Feeder {
     /// Takes what has arrived.
     pub arrivals: SyncSender<Arrival>,
-    /// Gives what is wished for; it ends when the window has.
-    pub wishes: Receiver<FeedRequest>,
+    /// Gives what is asked for; it ends when the window has.
+    pub requests: Receiver<FeedRequest>,
 }
 
 /// Both ends of a feed.
 pub fn feed() -> (Feeder, Feed) {
     let (arrived, arrivals) = sync_channel(WAITING);
-    let (wished, wishes) = channel();
-    (Feeder { arrivals: arrived, wishes }, Feed { arrivals, wishes: wished, open: true })
+    let (requested, requests) = channel();
+    (Feeder { arrivals: arrived, requests }, Feed { arrivals, requests: requested, open: true })
 }
 
 impl Feed {
@@ -115,8 +115,8 @@ impl Feed {
         self.open
     }
 
-    /// Says what is wished for; a feeder that is gone misses nothing.
-    pub(crate) fn wish(&self, wish: FeedRequest) {
-        let _ = self.wishes.send(wish);
+    /// Says what is asked for; a feeder that is gone misses nothing.
+    pub(crate) fn request(&self, request: FeedRequest) {
+        let _ = self.requests.send(request);
     }
 }

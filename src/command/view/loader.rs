@@ -96,7 +96,7 @@ fn named(name: &str, act: impl FnOnce() + Send + 'static) -> Result<JoinHandle<(
 /// The session's end: packets go to the window.
 struct Forwarding {
     arrivals: SyncSender<Arrival>,
-    wishes: Receiver<FeedRequest>,
+    requests: Receiver<FeedRequest>,
     /// Packets that came before the manifest; `None` after it.
     early: Option<Vec<Vec<u8>>>,
     /// The round that is wanted, and when the last was begun.
@@ -158,8 +158,8 @@ impl FrameSink for Forwarding {
     }
 
     fn requested_round(&mut self) -> Option<RoundRequest> {
-        for wish in self.wishes.try_iter() {
-            match wish {
+        for request in self.requests.try_iter() {
+            match request {
                 FeedRequest::From(seconds) => self.wanted_us = Some((seconds * 1e6) as u64),
                 FeedRequest::Network(network) => self.conditions = Some(conditions(&network)),
                 FeedRequest::Sight(pose) => self.pose = Some(pose),
@@ -187,7 +187,7 @@ impl FrameSink for Forwarding {
     }
 }
 
-/// What a window wishes for, as a server is asked for it: from then on each round begins with nothing, since
+/// What a window asks for, as a server is asked for it: from then on each round begins with nothing, since
 /// of a scene that is all there no packet is lost.
 fn conditions(network: &Network) -> Conditions {
     let Network { loss, burst, rate_bps, delay_s, seed } = *network;
@@ -200,11 +200,11 @@ fn conditions(network: &Network) -> Conditions {
 
 /// Receives until `stop`.
 fn load_session(config: &ClientConfig, feeder: Feeder, stop: &AtomicBool) {
-    let Feeder { arrivals, wishes } = feeder;
+    let Feeder { arrivals, requests } = feeder;
     let last = arrivals.clone();
     let mut screen = Forwarding {
         arrivals,
-        wishes,
+        requests,
         early: Some(Vec::new()),
         wanted_us: None,
         conditions: None,
@@ -228,7 +228,7 @@ fn load_session(config: &ClientConfig, feeder: Feeder, stop: &AtomicBool) {
     }
 }
 
-/// Fetches a file, what is wished for first, until all of it is there or `stop`.
+/// Fetches a file, what is asked for first, until all of it is there or `stop`.
 fn load_file(url: &str, feeder: &Feeder, stop: &AtomicBool) {
     let patient = Agent::config_builder()
         .timeout_resolve(Some(TIMEOUT))
@@ -266,7 +266,7 @@ fn fetch(agent: &Agent, url: &str, feeder: &Feeder, stop: &AtomicBool) -> Result
     }
     feeder.arrivals.send(Arrival::Front { bytes, length })?;
     while !stop.load(Ordering::Relaxed) {
-        let arrival = match feeder.wishes.try_recv() {
+        let arrival = match feeder.requests.try_recv() {
             Ok(FeedRequest::Bytes(range)) => match ask(agent, url, Some((range.start, range.end)))? {
                 Answer::Part { bytes, file: now } => {
                     now.check_unchanged(&file)?;
@@ -400,11 +400,11 @@ mod tests {
     #[test]
     fn what_must_arrive_waits_for_room_and_packets_do_not() {
         let (arrivals, window) = std::sync::mpsc::sync_channel(1);
-        let (_, wishes) = std::sync::mpsc::channel();
+        let (_, requests) = std::sync::mpsc::channel();
         let (wanted_us, conditions, round_at, pose) = (None, None, None, None);
         let waiting = VecDeque::new();
         let mut screen =
-            Forwarding { arrivals, wishes, early: None, wanted_us, conditions, round_at, pose, waiting };
+            Forwarding { arrivals, requests, early: None, wanted_us, conditions, round_at, pose, waiting };
         screen.media(&[1]);
         screen.media(&[2]);
         screen.forget();

@@ -143,8 +143,8 @@ impl Framing {
         (0..count).map(camera).collect()
     }
 
-    /// The near plane of a camera that looks at something `distance` away, scene units: the usual one, and of
-    /// what is so small or near that this would hide it a tenth of the distance.
+    /// The near plane of a camera whose target is `distance` away, both in scene units: a tenth of the
+    /// distance, at most [`DEFAULT_NEAR`].
     pub fn near_at(distance: f64) -> f64 {
         DEFAULT_NEAR.min(0.1 * distance).max(MIN_NEAR)
     }

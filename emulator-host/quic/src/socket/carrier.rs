@@ -87,10 +87,10 @@ impl SessionTransport {
         }
     }
 
-    /// The link before the viewer is another.
-    pub(super) fn forget_least_rtt(&self) {
+    /// The emulated link to the viewer has changed.
+    pub(super) fn reset_least_rtt(&self) {
         if let Self::Quic(channel) = self {
-            channel.forget_least_rtt();
+            channel.reset_least_rtt();
         }
     }
 

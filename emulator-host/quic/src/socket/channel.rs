@@ -19,7 +19,7 @@ use super::{
     message::{Refusal, RefusalCode},
     web::{self, Closing, WebClose, WebError, WebSession},
 };
-use crate::congestion::{Watch, Watched};
+use crate::congestion::{PathWatch, Watched};
 
 /// How long a peer may take to hear why a WebTransport session is closed.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
@@ -167,28 +167,29 @@ impl Channel {
     /// What QUIC knows of the path.
     pub(super) fn path(&self) -> Path {
         let path = self.connection.stats().path;
-        let known = self.watch().map(|watch| watch.look());
+        let known = self.watch().map(|watch| watch.state());
         Path {
             rtt: path.rtt,
-            least_rtt: known.and_then(|known| known.least).unwrap_or(path.min_rtt),
-            newest_rtt: known.and_then(|known| known.newest),
+            least_rtt: known.and_then(|known| known.least_rtt).unwrap_or(path.min_rtt),
+            newest_rtt: known.and_then(|known| known.newest_rtt),
             in_flight: known.map(|known| known.in_flight),
             window_bytes: path.cwnd,
             datagram_bytes: u64::from(path.current_mtu),
         }
     }
 
-    /// What was put in front of the peer has changed: how long its round trip is at least is not known.
-    pub(super) fn forget_least_rtt(&self) {
+    /// The emulated link to the peer has changed: its least round trip is measured anew.
+    pub(super) fn reset_least_rtt(&self) {
         if let Some(watch) = self.watch() {
-            watch.forget(Instant::now());
+            watch.reset_least_rtt(Instant::now());
         }
     }
 
-    /// What watches the controller of a server's connection.
-    fn watch(&self) -> Option<Watch> {
-        let controller = self.connection.congestion_state().into_any().downcast::<Watched>().ok()?;
-        Some(controller.watch)
+    /// What a server knows of the path; a client watches none.
+    fn watch(&self) -> Option<PathWatch> {
+        let controller =
+            self.connection.congestion_state().into_any().downcast::<Watched<PathWatch>>().ok()?;
+        Some(controller.observer)
     }
 
     /// Becomes ready once the transport has taken the datagram.

@@ -309,18 +309,18 @@ async fn converse(
         }
         if had_manifest
             && now >= newest_at
-            && let Some(wish) = playback.newest_wish()?
+            && let Some(request) = playback.newest_request()?
         {
             newest_at = now + NEWEST_INTERVAL;
-            say(send, &playback.next_round(wish)?).await?;
+            say(send, &playback.next_round(request)?).await?;
             continue;
         }
         // A stream that grows is shown at its newest end.
         if had_manifest
-            && let Some(wish) = screen.requested_round()
-            && (wish.conditions.is_some() || !playback.grows())
+            && let Some(request) = screen.requested_round()
+            && (request.conditions.is_some() || !playback.grows())
         {
-            say(send, &playback.next_round(wish)?).await?;
+            say(send, &playback.next_round(request)?).await?;
             deadline = Instant::now() + config.silence;
             if playback.begins_anew() {
                 screen.forget();

@@ -6,8 +6,8 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
-/// Bits of an IPv6 address that stand for who has it: a household is given all that begin with them.
-const HOUSEHOLD: u128 = u128::MAX << 64;
+/// The network part of an IPv6 address: a site is assigned all addresses that begin with it.
+const IPV6_NETWORK: u128 = u128::MAX << 64;
 
 /// Places of which each address may hold so many.
 #[derive(Debug)]
@@ -66,7 +66,7 @@ impl Drop for Place {
 /// Who has `address`: itself, or its part of the network where it is IPv6.
 fn holder(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
-        IpAddr::V6(address) => Ipv6Addr::from_bits(address.to_bits() & HOUSEHOLD).into(),
+        IpAddr::V6(address) => Ipv6Addr::from_bits(address.to_bits() & IPV6_NETWORK).into(),
         address => address,
     }
 }
@@ -88,9 +88,9 @@ mod tests {
         let other = taken("192.0.2.2");
         drop(second);
         assert!(other.is_some() && taken("192.0.2.1").is_some());
-        let household = (taken("2001:db8::1"), taken("2001:db8::2"));
+        let site = (taken("2001:db8::1"), taken("2001:db8::2"));
         assert!(taken("2001:db8::3").is_none() && taken("2001:db8:0:1::3").is_some());
-        drop((household, other, first));
+        drop((site, other, first));
         assert!(places.lock().is_empty());
     }
 }

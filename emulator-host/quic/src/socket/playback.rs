@@ -157,7 +157,7 @@ impl Playback {
     ///
     /// # Errors
     /// That nobody makes the stream any more.
-    pub(super) fn newest_wish(&self) -> Result<Option<RoundRequest>, PlayError> {
+    pub(super) fn newest_request(&self) -> Result<Option<RoundRequest>, PlayError> {
         let Some(since) = self.ahead_since else { return Ok(None) };
         if since.elapsed() >= STALLED {
             return Err(PlayError::Stalled { ms: STALLED.as_millis() });
@@ -205,17 +205,17 @@ impl Playback {
     ///
     /// # Errors
     /// What arrived before cannot be forgotten, for want of memory.
-    pub(crate) fn next_round(&mut self, wish: RoundRequest) -> Result<ClientMessage, PlayError> {
+    pub(crate) fn next_round(&mut self, request: RoundRequest) -> Result<ClientMessage, PlayError> {
         self.report.rounds += 1;
-        self.begin(self.round + 1, wish.start_us, 0);
+        self.begin(self.round + 1, request.start_us, 0);
         self.round_began = Instant::now();
-        Ok(match wish.conditions {
+        Ok(match request.conditions {
             Some(conditions) => self.request(conditions),
             None => {
                 if self.anew {
                     self.forget()?;
                 }
-                ClientMessage::Seek { round: self.round, start_us: wish.start_us }
+                ClientMessage::Seek { round: self.round, start_us: request.start_us }
             }
         })
     }

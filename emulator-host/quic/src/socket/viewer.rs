@@ -362,7 +362,7 @@ impl<'s> Viewer<'s> {
     }
 
     /// Goes on from `start_us` as round `round`, under other conditions if they are asked for.
-    fn begin_round(&mut self, round: u32, start_us: u64, wish: Option<Conditions>) -> Result<(), End> {
+    fn begin_round(&mut self, round: u32, start_us: u64, request: Option<Conditions>) -> Result<(), End> {
         if round <= self.round.number {
             let sentence = format!("round is {round}, allowed above {}", self.round.number);
             return Err(refused(RefusalCode::Message, sentence));
@@ -371,8 +371,8 @@ impl<'s> Viewer<'s> {
             return Err(refused(RefusalCode::Flood, "too many seeks".to_owned()));
         }
         self.close_round();
-        if let Some(wish) = wish {
-            let granted = self.grant(wish);
+        if let Some(request) = request {
+            let granted = self.grant(request);
             self.answer(&ServerMessage::Granted { round, granted })?;
         }
         if self.conditions.anew {
@@ -400,7 +400,7 @@ impl<'s> Viewer<'s> {
             && self.carrier.is_impaired_by_links()
             && links.set(self.carrier.address(), impairment.as_ref());
         if link {
-            self.carrier.forget_least_rtt();
+            self.carrier.reset_least_rtt();
         }
         Granted { link, scheduler: true }
     }

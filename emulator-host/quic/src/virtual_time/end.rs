@@ -19,10 +19,10 @@ use quinn_proto::{
 use super::{
     VirtualError,
     clock::Clock,
-    observer::{Watch, Watched},
+    observer::Watch,
     tls::{self, Tls},
 };
-use crate::congestion::{CongestionControl, Factory};
+use crate::congestion::{CongestionControl, Factory, WatchedFactory};
 
 /// Bytes of a connection id.
 const ID_BYTES: usize = 8;
@@ -70,7 +70,8 @@ impl End {
     ) -> Result<Self, VirtualError> {
         let Tls { server, .. } = tls::shared()?;
         let mut transport = transport(datagram_bytes);
-        transport.congestion_controller_factory(Arc::new(Watched { inner: controller, watch }));
+        let watched = WatchedFactory { inner: controller, observer: move || watch.clone() };
+        transport.congestion_controller_factory(Arc::new(watched));
         let mut config = ServerConfig::with_crypto(server);
         config.transport_config(Arc::new(transport));
         // No tokens for later connections: they would travel with the media.

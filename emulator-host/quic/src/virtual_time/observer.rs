@@ -1,7 +1,6 @@
 //! Watches a congestion controller at work, and derives what the sender of media wants to know of the path.
 
 use std::{
-    any::Any,
     collections::VecDeque,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Instant,
@@ -11,13 +10,9 @@ use emulator_host::{
     Bytes, Nanos, Rate,
     congestion::{DeliveryRate, DeliverySample, Rtt},
 };
-use quinn_proto::{
-    RttEstimator,
-    congestion::{Controller, ControllerFactory},
-};
 
 use super::clock::Clock;
-use crate::congestion::Factory;
+use crate::congestion::Observer;
 
 /// Time for which an unacknowledged packet is remembered.
 const MEMORY: Nanos = Nanos::from_s(10);
@@ -171,67 +166,20 @@ impl Watch {
     }
 }
 
-/// Builds controllers that are watched.
-pub(super) struct Watched {
-    pub(super) inner: Factory,
-    pub(super) watch: Watch,
-}
-
-impl ControllerFactory for Watched {
-    fn build(self: Arc<Self>, now: Instant, current_mtu: u16) -> Box<dyn Controller> {
-        let inner = self.inner.clone().build(now, current_mtu);
-        Box::new(WatchedController { inner, watch: self.watch.clone() })
-    }
-}
-
-struct WatchedController {
-    inner: Box<dyn Controller>,
-    watch: Watch,
-}
-
-impl Controller for WatchedController {
-    fn on_sent(&mut self, now: Instant, bytes: u64, last_packet_number: u64) {
-        self.inner.on_sent(now, bytes, last_packet_number);
-    }
-
-    fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, app_limited: bool, rtt: &RttEstimator) {
-        let mut observed = self.watch.look();
+impl Observer for Watch {
+    fn on_ack(&self, now: Instant, sent: Instant, bytes: u64) {
+        let mut observed = self.look();
         let (sent_at, at) = (observed.clock.nanos(sent), observed.clock.nanos(now));
         observed.on_ack(sent_at, bytes, at);
-        drop(observed);
-        self.inner.on_ack(now, sent, bytes, app_limited, rtt);
     }
 
-    fn on_end_acks(&mut self, now: Instant, in_flight: u64, app_limited: bool, largest: Option<u64>) {
-        let mut observed = self.watch.look();
+    fn on_end_acks(&self, now: Instant, in_flight: u64) {
+        let mut observed = self.look();
         let at = observed.clock.nanos(now);
         observed.on_end_acks(in_flight, at);
-        drop(observed);
-        self.inner.on_end_acks(now, in_flight, app_limited, largest);
     }
 
-    fn on_congestion_event(&mut self, now: Instant, sent: Instant, is_persistent: bool, lost_bytes: u64) {
-        self.watch.look().on_lost(lost_bytes);
-        self.inner.on_congestion_event(now, sent, is_persistent, lost_bytes);
-    }
-
-    fn on_mtu_update(&mut self, new_mtu: u16) {
-        self.inner.on_mtu_update(new_mtu);
-    }
-
-    fn window(&self) -> u64 {
-        self.inner.window()
-    }
-
-    fn clone_box(&self) -> Box<dyn Controller> {
-        Box::new(Self { inner: self.inner.clone_box(), watch: self.watch.clone() })
-    }
-
-    fn initial_window(&self) -> u64 {
-        self.inner.initial_window()
-    }
-
-    fn into_any(self: Box<Self>) -> Box<dyn Any> {
-        self
+    fn on_lost(&self, bytes: u64) {
+        self.look().on_lost(bytes);
     }
 }

@@ -57,15 +57,15 @@ fn a_file_comes_in_pieces_as_it_is_wished_for() {
     let length = file.len() as u64;
     feeder.arrivals.send(Arrival::Front { bytes: first, length }).unwrap();
     engine.tick(0.0, None, SIZE).unwrap();
-    let mut wishes = 0;
-    while let Ok(FeedRequest::Bytes(range)) = feeder.wishes.try_recv() {
+    let mut requests = 0;
+    while let Ok(FeedRequest::Bytes(range)) = feeder.requests.try_recv() {
         let bytes = file[range.start as usize..range.end as usize].to_vec();
         feeder.arrivals.send(Arrival::Piece { at: range.start, bytes }).unwrap();
         engine.tick(0.0, None, SIZE).unwrap();
-        wishes += 1;
+        requests += 1;
     }
     let session = engine.session.as_ref().unwrap();
-    assert!(wishes > 0 && session.loaded() == 1.0, "{wishes} wishes");
+    assert!(requests > 0 && session.loaded() == 1.0, "{requests} requests");
     assert_eq!(session.packets().0, Session::open(&file).unwrap().0.packets().0);
 }
 
@@ -104,9 +104,9 @@ fn a_server_hears_where_the_camera_is_once_and_again_when_it_moves() {
     feeder.arrivals.send(Arrival::Manifest(stream.message().to_vec())).unwrap();
     let said = |engine: &mut Engine, at: f64| -> Vec<ViewerPose> {
         engine.tick(at, None, SIZE).unwrap();
-        let wishes = feeder.wishes.try_iter();
-        wishes
-            .filter_map(|wish| if let FeedRequest::Sight(pose) = wish { Some(pose) } else { None })
+        let requests = feeder.requests.try_iter();
+        requests
+            .filter_map(|request| if let FeedRequest::Sight(pose) = request { Some(pose) } else { None })
             .collect()
     };
     let first = said(&mut engine, 0.0);
@@ -132,12 +132,13 @@ fn a_server_emulates_the_network_that_is_wished_for_or_the_window_does() {
     let all = bytes(&engine);
     for loss in [0.05, 0.1] {
         engine.act(Act::Loss(0.05), SIZE).unwrap();
-        let wishes: Vec<_> = feeder.wishes.try_iter().collect();
-        let wished =
-            wishes.iter().find_map(|wish| if let FeedRequest::Network(it) = wish { Some(*it) } else { None });
+        let requests: Vec<_> = feeder.requests.try_iter().collect();
+        let requested = requests
+            .iter()
+            .find_map(|request| if let FeedRequest::Network(it) = request { Some(*it) } else { None });
         assert!(
-            wished.is_some_and(|it| it.loss == loss) && wishes.contains(&FeedRequest::From(0.0)),
-            "{wishes:?}"
+            requested.is_some_and(|it| it.loss == loss) && requests.contains(&FeedRequest::From(0.0)),
+            "{requests:?}"
         );
         assert!(engine.title().contains(&format!("{:.0} % of packets lost", 100.0 * loss)));
         assert!(here(&engine).is_perfect(), "until it has answered");

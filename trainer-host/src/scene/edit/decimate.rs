@@ -1,7 +1,7 @@
 //! Fewer Gaussians that look alike: neighbours become one where that changes pictures least.
 //!
-//! In each of a few rounds every group of Gaussians, at first each alone, looks at its nearest
-//! neighbours; pairs are priced, and the cheapest that have no group in common become one each. A group
+//! In each of a few rounds every group of Gaussians, at first each alone, is paired with its
+//! nearest neighbours; pairs are priced, and the cheapest that have no group in common become one each. A group
 //! has the mean and the covariance of its members, weighed by opacity times projected area, the mean of
 //! their colours, harmonics included, and the opacity that keeps the integral of their opacities over the
 //! projected area, at most 1.

@@ -2,7 +2,7 @@
 //!
 //! Points may be any finite floats: coincident, clustered or at the ends of the range. Squared distances
 //! are f64, which hold those of any two f32 points without overflow. Building takes O(n log n) steps. A
-//! query looks at `MAX_VISITS` points at most, whatever the points and the filter are, so that a file
+//! query visits `MAX_VISITS` points at most, whatever the points and the filter are, so that a file
 //! made to be slow is not: answers are exact unless that bound is reached.
 
 #[cfg(test)]
@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Points in a range that is searched one by one.
 const LEAF: usize = 8;
-/// Most points that a query looks at. Ordinary surfaces and clouds need a few hundred.
+/// Most points that a query visits. Ordinary surfaces and clouds need a few hundred.
 const MAX_VISITS: usize = 4096;
 
 /// A k-d tree over points it borrows.

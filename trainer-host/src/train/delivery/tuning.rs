@@ -148,7 +148,7 @@ impl Tuning {
     /// Adds a candidate, the scene of now by `decisions`.
     ///
     /// # Errors
-    /// None in practice: decisions can be written.
+    /// [`DeliveryError::Resumed`] for decisions that JSON cannot hold.
     pub(super) fn add(&mut self, candidate: Candidate, decisions: &Decisions) -> Result<(), DeliveryError> {
         self.candidates.push(candidate);
         if select(&self.candidates) == Some(self.candidates.len() - 1) {
@@ -161,7 +161,7 @@ impl Tuning {
     /// Parameters and decisions of the candidate that the rule takes; none without candidates.
     ///
     /// # Errors
-    /// None in practice: what was written is read.
+    /// Decisions in the checkpoint that are none.
     pub(super) fn best(&self) -> Result<Option<(Parameters, Decisions)>, DeliveryError> {
         let Some((parameters, text)) = &self.best else { return Ok(None) };
         let decisions = serde_json::from_str(text).map_err(|_| DECISIONS)?;

@@ -3,7 +3,7 @@
 use quinn::congestion::{Bbr, Cubic, NewReno};
 
 use super::*;
-use crate::congestion::{ScreamController, Watched};
+use crate::congestion::{PathWatch, ScreamController, Watched};
 
 #[test]
 fn a_connection_has_the_controller_that_is_named() {
@@ -26,7 +26,7 @@ fn a_connection_has_the_controller_that_is_named() {
             let connecting = client.connect_with(config, address, "localhost").unwrap();
             let (served, viewer) =
                 tokio::join!(async { endpoint.accept().await.unwrap().await.unwrap() }, connecting);
-            let watched = served.congestion_state().into_any().downcast::<Watched>().unwrap();
+            let watched = served.congestion_state().into_any().downcast::<Watched<PathWatch>>().unwrap();
             let state = watched.inner.into_any();
             let found = [
                 ("newreno", state.is::<NewReno>()),

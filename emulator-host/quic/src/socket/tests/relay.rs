@@ -1,4 +1,4 @@
-//! Who takes a server for a relay of Media over QUIC is told so.
+//! A server of ours that is addressed as a relay of Media over QUIC is an error that says so.
 
 use super::*;
 

@@ -68,7 +68,7 @@ fn who_wishes_for_streams_gets_each_packet_in_one() {
         assert_eq!(once.len(), found.len(), "none came twice");
         let datagram = tokio::time::timeout(Duration::from_millis(100), connection.read_datagram()).await;
         assert!(datagram.is_err(), "{datagram:?}");
-        // The comparison can fail: who does not wish for them gets no stream.
+        // The comparison can fail: who does not ask for them gets no stream.
         let (_endpoint, plain, _send) = greeted(&server, &[]).await;
         let datagram = plain.read_datagram().await.unwrap();
         assert!(expected.contains(&datagram.to_vec()));
@@ -108,11 +108,11 @@ fn floods_of_receipts_end_the_session_as_those_of_datagrams_do() {
         let (_endpoint, connection, mut send) = greeted(&server, &ClientMessage::Streams.to_bytes()).await;
         while send.write_all(&junk).await.is_ok() {}
         assert_eq!(close(connection).await, Some(RefusalCode::Flood));
-        // One that is too long, one without a round, and a wish with a body.
+        // One that is too long, one without a round, and a request with a body.
         let long = [&[5u8][..], &5000u32.to_le_bytes()].concat();
         let short = [&[5u8][..], &3u32.to_le_bytes(), &[0; 3]].concat();
-        let wish = [&[4u8][..], &1u32.to_le_bytes(), &[0]].concat();
-        for bytes in [long, short, wish] {
+        let request = [&[4u8][..], &1u32.to_le_bytes(), &[0]].concat();
+        for bytes in [long, short, request] {
             let (_endpoint, connection, _send) = greeted(&server, &bytes).await;
             assert_eq!(close(connection).await, Some(RefusalCode::Message), "{bytes:?}");
         }
@@ -133,12 +133,12 @@ fn datagrams_that_never_come_are_replaced_by_streams() {
                     let manifest = ServerMessage::Manifest(stream().message().to_vec()).to_bytes();
                     send.write_all(&manifest).await.unwrap();
                     let mut reader = MessageReader::<ClientMessage>::default();
-                    'wish: loop {
+                    'request: loop {
                         let chunk = receive.read_chunk(4096, true).await.unwrap().unwrap();
                         let mut input = &chunk.bytes[..];
                         while let Some(message) = reader.take(&mut input).unwrap() {
                             if message == ClientMessage::Streams {
-                                break 'wish;
+                                break 'request;
                             }
                         }
                     }

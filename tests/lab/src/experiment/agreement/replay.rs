@@ -11,7 +11,7 @@ use emulator_host::{
     session::{MediaSender, PathFacts, Startup, StartupRule, Viewer},
 };
 
-use crate::experiment::quic_model::pairing::{Noting, frame_latency_ms};
+use crate::experiment::quic_model::pairing::{ArrivalLog, frame_latency_ms};
 
 /// What one viewer saw.
 #[derive(Clone, Copy, Debug)]
@@ -80,7 +80,7 @@ impl Recorder {
         let start = nanos(self.start - self.hello);
         let startup = Startup { rule: StartupRule::AfterWait, max_wait: start };
         let config = SessionConfig { startup, ..SessionConfig::default() };
-        let mut endpoint = Noting::new(graph, config.buffer_limit);
+        let mut endpoint = ArrivalLog::new(graph, config.buffer_limit);
         let mut viewer = Viewer::new(graph, &config, &mut endpoint);
         let mut now = Nanos::ZERO;
         let mut manifest = self.manifest;

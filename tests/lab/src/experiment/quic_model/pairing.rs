@@ -78,7 +78,7 @@ impl Load {
 }
 
 /// A receiver that notes when each packet arrived first, and how many arrived in all.
-pub struct Noting<'a> {
+pub struct ArrivalLog<'a> {
     inner: GraphReceiver<'a>,
     /// By packet.
     pub arrived: Vec<Option<Nanos>>,
@@ -86,7 +86,7 @@ pub struct Noting<'a> {
     pub arrivals: u64,
 }
 
-impl<'a> Noting<'a> {
+impl<'a> ArrivalLog<'a> {
     /// Nothing has arrived; up to `buffer_limit` packets are kept before the manifest is there.
     pub fn new(graph: &'a PacketGraph, buffer_limit: usize) -> Self {
         let inner = GraphReceiver::new(graph, buffer_limit);
@@ -94,7 +94,7 @@ impl<'a> Noting<'a> {
     }
 }
 
-impl Endpoint for Noting<'_> {
+impl Endpoint for ArrivalLog<'_> {
     fn control(&mut self, bytes: usize, complete: bool, recovered: &mut Vec<PacketIndex>) {
         self.inner.control(bytes, complete, recovered);
     }
@@ -149,7 +149,7 @@ fn see(
     config: &SessionConfig,
     run: impl FnOnce(&mut dyn emulator_host::Scheduler, &mut dyn Endpoint) -> Result<Report>,
 ) -> Result<Seen> {
-    let mut endpoint = Noting::new(graph, config.buffer_limit);
+    let mut endpoint = ArrivalLog::new(graph, config.buffer_limit);
     let report = run(&mut *config.policy.build(graph), &mut endpoint)?;
     let late_ms = frame_latency_ms(graph, (config.startup.max_wait, config.lookahead), &endpoint.arrived);
     Ok(Seen { goodput: report.goodput_bps, late_ms })

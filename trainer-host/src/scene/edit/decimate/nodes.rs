@@ -3,10 +3,13 @@
 use nalgebra::Matrix3;
 
 use super::shape::{self, Covariance, Seen};
-use crate::scene::Epoch;
+use crate::{
+    encode::factorise::rotation_matrix,
+    scene::{Epoch, import::snapshot::SH_C0},
+};
 
 /// Display colour per unit of band 0, and, root mean square over directions, per unit of any harmonic.
-const COLOUR: f64 = 0.282_094_791_773_878_14;
+const COLOUR: f64 = SH_C0 as f64;
 /// What a difference in coverage weighs beside one of colour. What shows through a gap is mostly of the same
 /// colour, since it is what lies near.
 const COVERAGE: f64 = 0.05;
@@ -133,7 +136,8 @@ impl<'e> Nodes<'e> {
     /// The turn of group `i` from the first frame to that at `at`.
     fn turn(&self, i: usize, at: usize) -> Matrix3<f64> {
         let (n, leader) = (self.epoch.count(), self.leader(i));
-        let rotation = |t: usize| shape::matrix(self.epoch.attributes().rotations.frame(t, n)[leader]);
+        let rotation =
+            |t: usize| rotation_matrix(self.epoch.attributes().rotations.frame(t, n)[leader].map(f64::from));
         rotation(self.frames[at]) * rotation(self.frames[0]).transpose()
     }
 

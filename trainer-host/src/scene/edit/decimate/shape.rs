@@ -2,6 +2,8 @@
 
 use nalgebra::{Matrix3, Rotation3, SymmetricEigen, UnitQuaternion};
 
+use crate::encode::factorise::rotation_matrix;
+
 /// A covariance: xx, xy, xz, yy, yz, zz.
 pub(super) type Covariance = [f64; 6];
 
@@ -24,7 +26,7 @@ const LEAST: f64 = 4e-18;
 
 /// The covariance of these natural-log scales, turned by `rotation`.
 pub(super) fn of_axes(log_scales: [f32; 3], rotation: [f32; 4]) -> Covariance {
-    let turn = matrix(rotation);
+    let turn = rotation_matrix(rotation.map(f64::from));
     let scale = log_scales.map(|log| f64::from(log).exp());
     let half = turn * Matrix3::from_diagonal(&scale.into());
     packed(&(half * half.transpose()))
@@ -42,22 +44,6 @@ pub(super) fn axes(covariance: &Covariance) -> ([f32; 3], [f32; 4]) {
     let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn));
     let log_scales = order.map(|at| (0.5 * eigen.eigenvalues[at].max(LEAST).ln()) as f32);
     (log_scales, [q.w, q.i, q.j, q.k].map(|v| v as f32))
-}
-
-/// The matrix of a unit quaternion, wxyz.
-pub(super) fn matrix(q: [f32; 4]) -> Matrix3<f64> {
-    let [w, x, y, z] = q.map(f64::from);
-    Matrix3::new(
-        1.0 - 2.0 * (y * y + z * z),
-        2.0 * (x * y - w * z),
-        2.0 * (x * z + w * y),
-        2.0 * (x * y + w * z),
-        1.0 - 2.0 * (x * x + z * z),
-        2.0 * (y * z - w * x),
-        2.0 * (x * z - w * y),
-        2.0 * (y * z + w * x),
-        1.0 - 2.0 * (x * x + y * y),
-    )
 }
 
 /// `covariance` turned by `turn` and made `growth` times as wide.

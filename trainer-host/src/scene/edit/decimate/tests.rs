@@ -156,7 +156,8 @@ fn areas_are_those_of_projections_and_axes_are_those_of_the_shape() {
     assert!((shape::area(&disc) - 0.5).abs() < 0.05, "{}", shape::area(&disc));
     let (logs, rotation) = shape::axes(&shape::of_axes([-2.0, 1.0, 0.2], q));
     assert!(logs.iter().zip([1.0, 0.2, -2.0]).all(|(a, b)| (a - b).abs() < 1e-5), "{logs:?}");
-    let (again, turn) = (shape::of_axes(logs, rotation), shape::matrix(q));
+    let (again, turn) =
+        (shape::of_axes(logs, rotation), crate::encode::factorise::rotation_matrix(q.map(f64::from)));
     let wanted =
         turn * Matrix3::from_diagonal(&[(-4f64).exp(), 2f64.exp(), 0.4f64.exp()].into()) * turn.transpose();
     assert!((again[0] - wanted[(0, 0)]).abs() < 1e-5 && (again[4] - wanted[(1, 2)]).abs() < 1e-5);
