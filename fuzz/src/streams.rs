@@ -31,10 +31,7 @@ fn dgs1(packet_bytes: usize) -> EncodeOptions {
     EncodeOptions {
         block_len: 16,
         window_frames: Some(3),
-        repair: Protection {
-            refinements: [None, Some(Strength { set_len: 9, parity: 2 }), None],
-            ..Protection::STANDARD
-        },
+        repair: Protection { refinements: [None, Some(Strength::share(9, 2)), None], ..Protection::STANDARD },
         packet_bytes,
         ..EncodeOptions::default()
     }

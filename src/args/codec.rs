@@ -73,9 +73,10 @@ pub struct CodecArgs {
     /// Base packets per XOR repair set, 2 to 64; 0 sends no parity.
     #[arg(long, conflicts_with = "repair", value_parser = repair_set)]
     pub repair_set: Option<u8>,
-    /// Parity per kind of packets: none, standard, strong (where nothing is sent again), or a list of
-    /// KIND=K+R (any R losses of K packets are repaired) with KIND base, tracks, 1, 2 or 3 [default:
-    /// standard in stream, demo and serve, where it is sent; none elsewhere].
+    /// Parity per kind of packets: none, standard, strong (where nothing is sent again), full (where besides
+    /// one packet in ten is lost), or a list of KIND=K+R (any R losses of K packets are repaired) with KIND
+    /// base, tracks, 1, 2 or 3; with @P% behind it smaller sets are as safe at a loss of P as full ones
+    /// [default: standard in stream, demo and serve, where it is sent; none elsewhere].
     #[arg(long, value_parser = Protection::parse)]
     pub repair: Option<Protection>,
 }

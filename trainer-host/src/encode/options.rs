@@ -198,7 +198,8 @@ impl EncodeOptions {
         self.target.map_or(Ok(()), Target::check)?;
         self.repair.strengths().try_for_each(|strength| {
             within("repair.set_len", strength.set_len.into(), 2, limits::MAX_REPAIR_SET)?;
-            within("repair.parity", strength.parity.into(), 1, limits::MAX_REPAIR_PARITY)
+            within("repair.parity", strength.parity.into(), 1, limits::MAX_REPAIR_PARITY)?;
+            within("repair.loss_percent", strength.loss_percent.into(), 0, 50)
         })
     }
 }

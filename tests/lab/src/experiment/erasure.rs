@@ -26,7 +26,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         "trained: variant mixed, the candidate that validation takes; untrained: variant reconstruction with \
          as many complete pictures per update as mixed has worlds, taken by the same rule; the same states \
          per loss for both; no retransmission, `repaired`: with the parity that streams have by default when \
-         they are sent, `strong`: with `--repair strong`; PSNR on held-out pictures, drop: below the own \
+         they are sent, `strong` and `full`: with `--repair` of that name; PSNR on held-out pictures, drop: below the own \
          complete state, cliffs: states more than 3 dB below it; gain: mean over states of trained less \
          untrained, paired bootstrap over states",
     );
@@ -35,7 +35,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     measure(&mut bench, ("", &words), &sheet)?;
     let sheet = sheet.protected(Protection::STANDARD)?;
     measure(&mut bench, ("repaired.", "the same"), &sheet)?;
-    measure(&mut bench, ("strong.", "the same"), &sheet.protected(Protection::STRONG)?)?;
+    let sheet = sheet.protected(Protection::STRONG)?;
+    measure(&mut bench, ("strong.", "the same"), &sheet)?;
+    measure(&mut bench, ("full.", "the same"), &sheet.protected(Protection::FULL)?)?;
     if setup.quick {
         return Ok(bench);
     }
@@ -45,7 +47,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         let words = study.photographs_in_words(name);
         measure(&mut bench, ("bouncingballs.", &words), &study)?;
         let mut study = study;
-        for (prefix, repair) in [("repaired", Protection::STANDARD), ("strong", Protection::STRONG)] {
+        let levels =
+            [("repaired", Protection::STANDARD), ("strong", Protection::STRONG), ("full", Protection::FULL)];
+        for (prefix, repair) in levels {
             study = study.protected(repair)?;
             let words = format!("the same, {} packets", study.encoded.stream.packets().len());
             measure(&mut bench, (&format!("bouncingballs.{prefix}."), &words), &study)?;

@@ -67,8 +67,8 @@ fn check_repair(repair: &Protection) -> Result<(), EncodeError> {
     match repair.strengths().find(|strength| !strength.is_allowed()) {
         None => Ok(()),
         Some(s) => {
-            let found = format!("{}+{}", s.set_len, s.parity);
-            Err(misfit("all", "repair", found, "2..=64 packets + 1..=8 parity packets"))
+            let found = format!("{}+{}@{}%", s.set_len, s.parity, s.loss_percent);
+            Err(misfit("all", "repair", found, "2..=64 packets + 1..=8 parity packets @ 0..=50 %"))
         }
     }
 }
