@@ -30,9 +30,9 @@ pub struct Protection {
 /// Why a protection cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "repair: {found:?} is not known; none, standard, strong, full, or a list of KIND=K+R or KIND=K+R@P% is \
-     allowed, with KIND one of base, tracks, 1, 2, 3, K packets in a set 2 to 64, R parity packets 1 to 8 and \
-     sets of fewer packets as safe at a loss of P (1 to 50) as full ones (base=16+4,tracks=8+2)"
+    "repair: {found:?} is not known; none, standard, strong, full, or a list of KIND=K+R or KIND=K+R@P% \
+     is allowed, with KIND one of base, tracks, 1, 2, 3, K packets in a set 2 to 64, R parity packets 1 to \
+     8 and sets of fewer packets as safe at a loss of P (1 to 50) as full ones (base=16+4,tracks=8+2)"
 )]
 pub struct ProtectionError {
     /// The part at fault.
@@ -237,7 +237,7 @@ mod tests {
 
     #[test]
     fn small_sets_are_as_safe_as_full_ones_where_a_loss_is_named() {
-        // Losses of 10 %: 1 − Σ C(24, k) 0.1^k 0.9^(24 − k) over k = 0..=8, as a table of the distribution has it.
+        // 1 − Σ C(24, k) 0.1^k 0.9^(24 − k) over k = 0..=8, as a table of the distribution has it.
         assert!((beyond_repair(16, 8, 0.1) - 3.2e-4).abs() < 1e-5);
         assert!((beyond_repair(1, 1, 0.5) - 0.25).abs() < 1e-12);
         let strength = Strength { set_len: 16, parity: 8, loss_percent: 10 };

@@ -26,8 +26,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         "trained: variant mixed, the candidate that validation takes; untrained: variant reconstruction with \
          as many complete pictures per update as mixed has worlds, taken by the same rule; the same states \
          per loss for both; no retransmission, `repaired`: with the parity that streams have by default when \
-         they are sent, `strong` and `full`: with `--repair` of that name; PSNR on held-out pictures, drop: below the own \
-         complete state, cliffs: states more than 3 dB below it; gain: mean over states of trained less \
+         they are sent, `strong` and `full`: with `--repair` of that name; PSNR on held-out pictures, drop: \
+         below the own complete state, cliffs: states more than 3 dB below it; gain: mean over states of trained less \
          untrained, paired bootstrap over states",
     );
     let sheet = Study::make(size)?;
