@@ -27,8 +27,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
          as many complete pictures per update as mixed has worlds, taken by the same rule; the same states \
          per loss for both; no retransmission, `repaired`: with the parity that streams have by default when \
          they are sent, `strong` and `full`: with `--repair` of that name; PSNR on held-out pictures, drop: \
-         below the own complete state, cliffs: states more than 3 dB below it; gain: mean over states of trained less \
-         untrained, paired bootstrap over states",
+         below the own complete state, cliffs: states more than 3 dB below it; gain: mean over states \
+         of trained less untrained, paired bootstrap over states",
     );
     let sheet = Study::make(size)?;
     let words = size.words();
