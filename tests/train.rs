@@ -2,6 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+#[cfg(unix)]
+#[path = "train/photographs.rs"]
+mod photographs;
+
 use std::{
     fs,
     path::Path,

@@ -5,7 +5,7 @@
 
 mod jpeg;
 
-use std::io::Cursor;
+use std::io::{BufRead, Cursor, Seek};
 
 use image_webp::WebPDecoder;
 use png::{BitDepth, ColorType, Transformations};
@@ -37,17 +37,55 @@ pub struct Bounds {
     pub bytes: u64,
 }
 
+/// What a file is, by its first bytes.
+enum Format {
+    Png,
+    Jpeg,
+    WebP,
+}
+
+impl Format {
+    fn of(first: &[u8]) -> Result<Self, FileError> {
+        match first {
+            [0x89, b'P', b'N', b'G', 0x0d, 0x0a, 0x1a, 0x0a, ..] => Ok(Self::Png),
+            [0xff, 0xd8, 0xff, ..] => Ok(Self::Jpeg),
+            [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Ok(Self::WebP),
+            _ => Err(codec("not a PNG, JPEG or WebP file")),
+        }
+    }
+}
+
+/// Width and height, pixels, that the header of a PNG, JPEG or WebP file claims. Pixels are not read.
+///
+/// # Errors
+/// [`FileError`]: another format, a header that is damaged, or a file that the system does not give.
+pub fn claimed_size(mut file: impl BufRead + Seek) -> Result<(u32, u32), FileError> {
+    match Format::of(file.fill_buf().map_err(codec)?)? {
+        Format::Png => {
+            let mut decoder = png::Decoder::new(file);
+            let info = decoder.read_header_info().map_err(codec)?;
+            Ok((info.width, info.height))
+        }
+        Format::Jpeg => {
+            let mut decoder = JpegDecoder::new_with_options(file, jpeg_options(u16::MAX.into()));
+            decoder.decode_headers().map_err(codec)?;
+            let (width, height) = decoder.dimensions().ok_or_else(|| codec("no size"))?;
+            Ok((width as u32, height as u32))
+        }
+        Format::WebP => Ok(WebPDecoder::new(file).map_err(codec)?.dimensions()),
+    }
+}
+
 impl Rgba8 {
     /// Decodes PNG, JPEG or WebP bytes; the format is detected from the first bytes.
     ///
     /// # Errors
     /// [`FileError`]: another format, damage, or a picture beyond `bounds`.
     pub fn decode(bytes: &[u8], bounds: Bounds) -> Result<Self, FileError> {
-        match bytes {
-            [0x89, b'P', b'N', b'G', 0x0d, 0x0a, 0x1a, 0x0a, ..] => decode_png(bytes, bounds),
-            [0xff, 0xd8, 0xff, ..] => decode_jpeg(bytes, bounds),
-            [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => decode_webp(bytes, bounds),
-            _ => Err(codec("not a PNG, JPEG or WebP file")),
+        match Format::of(bytes)? {
+            Format::Png => decode_png(bytes, bounds),
+            Format::Jpeg => decode_jpeg(bytes, bounds),
+            Format::WebP => decode_webp(bytes, bounds),
         }
     }
 
@@ -59,6 +97,11 @@ impl Rgba8 {
     /// Values r g b a per pixel.
     pub fn data(&self) -> &[u8] {
         &self.data
+    }
+
+    /// The same, to keep.
+    pub fn into_data(self) -> Vec<u8> {
+        self.data
     }
 
     /// The values r g b a of pixel `(x, y)`; `None` outside.
@@ -200,8 +243,7 @@ fn decode_png(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
 }
 
 fn decode_jpeg(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
-    let options = DecoderOptions::default().set_strict_mode(false);
-    let options = options.set_max_width(bounds.side as usize).set_max_height(bounds.side as usize);
+    let options = jpeg_options(bounds.side);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().map_err(codec)?;
     let (width, height) = decoder.dimensions().ok_or_else(|| codec("no size"))?;
@@ -212,6 +254,12 @@ fn decode_jpeg(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
     decoder.set_options(options.jpeg_set_out_colorspace(colours));
     let data = decoder.decode().map_err(codec)?;
     Rgba8::new(size, if grey { grey_to_rgba(&data) } else { rgb_to_rgba(&data) })
+}
+
+/// How JPEG files are read whose sides are at most so many pixels.
+fn jpeg_options(side: u32) -> DecoderOptions {
+    let options = DecoderOptions::default().set_strict_mode(false);
+    options.set_max_width(side as usize).set_max_height(side as usize)
 }
 
 fn decode_webp(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
@@ -283,6 +331,7 @@ mod tests {
             let twin = image::load_from_memory(&bytes).unwrap().into_rgba8();
             let decoded = Rgba8::decode(&bytes, BOUNDS).unwrap();
             assert_eq!((decoded.size(), decoded.data()), (twin.dimensions(), twin.as_raw().as_slice()));
+            assert_eq!(claimed_size(Cursor::new(&bytes)), Ok(twin.dimensions()));
             assert_eq!(decoded.pixel(28, 12), Some(twin.get_pixel(28, 12).0));
             assert_eq!((decoded.pixel(29, 0), decoded.pixel(0, 13)), (None, None));
         }
@@ -308,7 +357,9 @@ mod tests {
             );
             let cut = bytes.get(..20).unwrap();
             assert!(matches!(Rgba8::decode(cut, BOUNDS), Err(FileError(_))), "{format:?}");
+            assert!(matches!(claimed_size(Cursor::new(cut)), Err(FileError(_))), "{format:?}");
         }
         assert!(Rgba8::decode(b"not an image", BOUNDS).is_err());
+        assert!(claimed_size(Cursor::new(b"not an image")).is_err());
     }
 }

@@ -178,9 +178,12 @@ fn target_views(args: &Encode, scene: &Scene) -> Result<Option<(TargetViews, Str
     Ok(Some((TargetViews { cameras, background: args.view.background }, found.description)))
 }
 
+/// Longest side of photographs as they are read, pixels: several times what utilities are measured at.
+const LONGEST_READ: u32 = 800;
+
 /// The training photographs of a dataset, over the background that utilities are measured over.
 fn photographs(folder: &Path) -> Result<ReferencePhotographs> {
-    let dataset = dataset::read(folder)?;
+    let (dataset, _) = dataset::read_reduced(folder, LONGEST_READ)?;
     let background = UtilityOptions::paper().settings.background;
     Ok(pipeline::reference_photographs(&dataset.train, background)?)
 }

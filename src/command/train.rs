@@ -21,7 +21,7 @@ use serde_json::json;
 use trainer_host::{
     Scene,
     train::{
-        self, Checkpoint, Dataset, DynamicScene, Test, Views,
+        self, Checkpoint, Dataset, DynamicScene, Test, Trimmed, Views,
         dataset::{self, rendered},
         delivery::DeliveryOptions,
     },
@@ -164,9 +164,9 @@ fn load(args: &Train, max_side: u32) -> Result<Input> {
     let path = Path::new(&args.input);
     let mut unknown = None;
     if path.is_dir() && !args.input.starts_with("synth:") {
-        match dataset::read(path) {
+        match dataset::read_reduced(path, max_side) {
             Err(error @ dataset::DatasetError::Unknown { .. }) => unknown = Some(error),
-            found => return photographs(args, found?, max_side),
+            found => return Ok(photographs(args, found?)),
         }
     }
     let loaded = match (pipeline::import(&args.input, &args.scene), unknown) {
@@ -186,7 +186,7 @@ fn load(args: &Train, max_side: u32) -> Result<Input> {
 }
 
 /// Photographs as they are trained on.
-fn photographs(args: &Train, mut dataset: Dataset, max_side: u32) -> Result<Input> {
+fn photographs(args: &Train, (mut dataset, trimmed): (Dataset, Option<Trimmed>)) -> Input {
     let mut notes = Vec::new();
     dataset.up = args.scene.up.map_or(dataset.up, Into::into);
     let applies = ["--fps", "--seed"];
@@ -203,7 +203,6 @@ fn photographs(args: &Train, mut dataset: Dataset, max_side: u32) -> Result<Inpu
         ));
     }
     notes.extend(beyond_the_photographs(args, &dataset));
-    let (dataset, trimmed) = dataset.trimmed(max_side);
     notes.extend(trimmed.map(|trimmed| {
         let ((width, height), (to_width, to_height)) = (trimmed.before, trimmed.after);
         format!(
@@ -213,7 +212,7 @@ fn photographs(args: &Train, mut dataset: Dataset, max_side: u32) -> Result<Inpu
             if trimmed.other_sizes > 0 { ", and those of other sizes likewise" } else { "" }
         )
     }));
-    Ok(Input { scene: None, dataset, damaged: false, notes })
+    Input { scene: None, dataset, damaged: false, notes }
 }
 
 /// That part of the clip is of times that no photograph shows.
@@ -259,7 +258,7 @@ fn finish(
     files::write(&folder.stream, &bytes)?;
 
     let decoded = decoded(&written)?;
-    let reduced = trained.reduced;
+    let (reduced, of_test) = (trained.reduced, trained.reduced * dataset.test_scale);
     let plain = trained.options.background;
     let other = plain.map(|v| 1.0 - v);
     let mut figures: Vec<Figure> = Vec::new();
@@ -268,8 +267,8 @@ fn finish(
         stop.leave(ENCODED);
         measuring.stage(&format!("measure {what}"), 0.1 + 0.2 * figures.len() as f64);
         if !dataset.test.is_empty() {
-            let found = train::evaluate(scene, &dataset.test, reduced, background)?;
-            let seen = train::perceptual(scene, &dataset.test, reduced, background, network)?;
+            let found = train::evaluate(scene, &dataset.test, of_test, background)?;
+            let seen = train::perceptual(scene, &dataset.test, of_test, background, network)?;
             figures.push(Figure { what: what.to_owned(), found, seen: Some(seen) });
         }
         Ok(())
@@ -281,7 +280,10 @@ fn finish(
         measure("test views, as trained, opposite background", &shown, other)?;
     }
     // A window has the size that a person gives it.
-    for (what, reduced) in [("at half the size", 2 * reduced), ("at twice the size", reduced / 2)] {
+    for (what, reduced) in [
+        ("at half the size", 2 * of_test),
+        ("at twice the size", if of_test.is_multiple_of(2) { of_test / 2 } else { 0 }),
+    ] {
         if is_size(&dataset.test, reduced) {
             stop.leave(ENCODED);
             let what = format!("test views, as decoded, {what}");

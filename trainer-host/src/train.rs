@@ -26,13 +26,13 @@ mod options;
 mod parameter;
 mod photographs;
 mod pixel_mask;
+mod reduction;
 mod rotation;
 mod schedule;
 mod start;
 mod state;
 mod step_report;
 mod trainer;
-mod trim;
 mod views;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
@@ -44,9 +44,9 @@ pub use finish::{Encoding, Pruning};
 pub use model::Model;
 pub use options::{DensityControl, Finish, OptionsError, Rates, Schedule, TrainOptions};
 pub use pixel_mask::PixelMask;
+pub use reduction::Trimmed;
 pub use step_report::{Stage, StepReport};
 pub use trainer::Trainer;
-pub use trim::Trimmed;
 pub use views::{
     ColouredPoint, Dataset, FreeSpace, PosedPhotograph, Start, Test, Training, Validation, Views, ViewsError,
 };

@@ -167,9 +167,52 @@ fn masks_of_frames_say_which_pixels_count() {
     assert!(masks[0].is_none() && masks[1].unwrap().at(3, 2) && !masks[1].unwrap().at(4, 2));
     image::GrayImage::new(8, 6).save(&mask).unwrap();
     let text = refusal(folder.path());
-    assert!(text.contains("transforms.json: mask_path of ./r_1.png is an image of 8 x 6"), "{text}");
+    assert!(text.contains("mask.png: size is 8 x 6; that of its image is needed"), "{text}");
     fs::remove_file(&mask).unwrap();
     assert!(refusal(folder.path()).contains("mask.png"), "{}", refusal(folder.path()));
+}
+
+/// Photographs that are reduced as they are read are those that are read and reduced, and test photographs may be
+/// twice as large.
+#[test]
+fn large_photographs_are_reduced_as_they_are_read() {
+    let folder =
+        nerfstudio(r#""train_filenames": ["r_0.png", "r_1.png"], "test_filenames": ["r_2.png"],"#, "");
+    let noise =
+        image::RgbaImage::from_fn(96, 72, |x, y| image::Rgba([(x * y) as u8, (7 * x) as u8, y as u8, 255]));
+    (0..4).for_each(|k| noise.save(folder.path().join(format!("r_{k}.png"))).unwrap());
+    let (whole, (reduced, trimmed)) =
+        (dataset::read(folder.path()).unwrap(), dataset::read_reduced(folder.path(), 24).unwrap());
+    assert_eq!((whole.test_scale, reduced.test_scale, trimmed), (1, 2, None));
+    for (whole, reduced, size) in [
+        (&whole.train.photographs()[1], &reduced.train.photographs()[1], (24, 18)),
+        (&whole.test.photographs()[0], &reduced.test.photographs()[0], (48, 36)),
+    ] {
+        assert_eq!(reduced.photograph, whole.photograph.resized(size.0, size.1).unwrap());
+        assert_eq!((reduced.camera.width(), reduced.camera.height()), size);
+        assert!((reduced.camera.intrinsics().fx * 96.0 / f64::from(size.0) - 120.0).abs() < 1e-9);
+    }
+    let (cut, trimmed) = dataset::read_reduced(folder.path(), 41).unwrap();
+    assert_eq!(
+        cut.train.photographs()[0].photograph,
+        whole.train.photographs()[0].photograph.resized(32, 24).unwrap()
+    );
+    assert_eq!((cut.test_scale, trimmed), (1, None), "no whole number is half of three");
+}
+
+/// A header that claims what no file of its length holds is refused before memory is taken.
+#[test]
+fn absurd_sizes_are_refused_before_decoding() {
+    let folder = nerfstudio("", "");
+    let path = folder.path().join("r_2.png");
+    let mut bytes = fs::read(&path).unwrap();
+    bytes[16..20].copy_from_slice(&16_000u32.to_be_bytes());
+    bytes[20..24].copy_from_slice(&12_000u32.to_be_bytes());
+    let sum = crc32fast::hash(&bytes[12..29]);
+    bytes[29..33].copy_from_slice(&sum.to_be_bytes());
+    fs::write(&path, bytes).unwrap();
+    let text = refusal(folder.path());
+    assert!(text.contains("r_2.png: image codec: 16000 x 12000 pixels; sides of 1 to 16384 and"), "{text}");
 }
 
 /// Units are any: cameras of a scene a thousand times smaller see it too.

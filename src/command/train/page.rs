@@ -50,7 +50,13 @@ impl Page<'_> {
             }
         } else {
             for index in count(dataset.test.photographs().len()) {
-                compared.push(train::compare(&exact, &dataset.test, index, reduced, background)?);
+                compared.push(train::compare(
+                    &exact,
+                    &dataset.test,
+                    index,
+                    reduced * dataset.test_scale,
+                    background,
+                )?);
             }
         }
         let mut rows: [Vec<Image>; 3] = Default::default();

@@ -266,7 +266,12 @@ fn save(folder: &Folder, dataset: &Dataset, trainer: &Trainer, progress: f64) ->
 fn glance(trainer: &Trainer, dataset: &Dataset) -> Option<f64> {
     let (reduced, background) = (trainer.reduced(), trainer.options().background);
     let found = if dataset.validation.is_empty() {
-        train::evaluate(&*trainer.model(), &dataset.test.sample(GLANCE_VIEWS), reduced, background)
+        train::evaluate(
+            &*trainer.model(),
+            &dataset.test.sample(GLANCE_VIEWS),
+            reduced * dataset.test_scale,
+            background,
+        )
     } else {
         train::evaluate(&*trainer.model(), &dataset.validation.sample(GLANCE_VIEWS), reduced, background)
     };

@@ -9,6 +9,7 @@ mod blender;
 mod colmap;
 mod error;
 mod files;
+mod listed;
 mod nerfstudio;
 mod panoptic;
 pub mod rendered;
@@ -21,6 +22,7 @@ pub use panoptic::cameras as panoptic_cameras;
 use render_host::camera::DEFAULT_NEAR;
 
 use super::{
+    reduction::Trimmed,
     start::Extent,
     views::{Dataset, PosedPhotograph},
 };
@@ -28,21 +30,38 @@ use super::{
 /// Share of half the side of a scene that the near plane is within: units are any.
 const NEAR: f64 = 0.05;
 
-/// Reads the dataset in folder `path`.
+/// Reads the dataset in folder `path`, photographs as they are.
 ///
 /// # Errors
 /// A folder of no known layout; or a file, image, camera or time that is refused, by name.
 pub fn read(path: &Path) -> Result<Dataset, DatasetError> {
+    Ok(read_at(path, None)?.0)
+}
+
+/// The same, with photographs reduced by a whole number as they are read, so that no side is longer than
+/// `max_side` pixels; those for testing may be twice as large ([`Dataset::test_scale`]). Sides that no number
+/// divides are cut first, by less than a 64th or than they are reduced by: what was cut comes with them.
+///
+/// No more photographs than threads are in memory in full size.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_reduced(path: &Path, max_side: u32) -> Result<(Dataset, Option<Trimmed>), DatasetError> {
+    read_at(path, Some(max_side))
+}
+
+fn read_at(path: &Path, max_side: Option<u32>) -> Result<(Dataset, Option<Trimmed>), DatasetError> {
     let (has, has_sparse) = (|name: &str| path.join(name).is_file(), path.join("sparse/0").is_dir());
-    if has("transforms_train.json") || (has("transforms.json") && !has_sparse) {
-        blender::read(path).map(within_sight)
+    let (dataset, trimmed) = if has("transforms_train.json") || (has("transforms.json") && !has_sparse) {
+        blender::read(path, max_side)?
     } else if has_sparse || colmap::model(path).is_some() {
-        colmap::read(path).map(within_sight)
+        colmap::read(path, max_side)?
     } else if has("train_meta.json") {
-        panoptic::read(path)
+        return panoptic::read(path, max_side);
     } else {
-        Err(DatasetError::Unknown { path: path.to_owned() })
-    }
+        return Err(DatasetError::Unknown { path: path.to_owned() });
+    };
+    Ok((within_sight(dataset), trimmed))
 }
 
 /// The same, with near planes that do not hide a scene that is small in its units; others stay as they are.

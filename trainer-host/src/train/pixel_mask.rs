@@ -36,10 +36,30 @@ impl PixelMask {
     /// The mask of a photograph `by` times smaller, at least 1: yes where all pixels that it covers say yes.
     #[must_use]
     pub(super) fn reduced(&self, by: u32) -> Self {
+        self.where_many(by, by * by)
+    }
+
+    /// The same: yes where at least half of the pixels that it covers say yes.
+    #[must_use]
+    pub(super) fn mostly(&self, by: u32) -> Self {
+        self.where_many(by, (by * by).div_ceil(2))
+    }
+
+    /// The mask of a photograph `by` times smaller: yes where so many pixels that it covers say yes.
+    fn where_many(&self, by: u32, needed: u32) -> Self {
         let (width, height) = (self.width / by, self.height / by);
-        let all = |x: u32, y: u32| (0..by).all(|dy| (0..by).all(|dx| self.at(x * by + dx, y * by + dy)));
-        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-        let values = pixels.map(|(x, y)| if all(x, y) { 255 } else { 0 }).collect();
+        let mut counts = vec![0; width as usize];
+        let mut values = Vec::with_capacity(width as usize * height as usize);
+        let row = self.width.max(1) as usize;
+        for rows in self.values.chunks_exact(row * by as usize) {
+            counts.fill(0);
+            for row in rows.chunks_exact(row) {
+                for (count, pixels) in counts.iter_mut().zip(row.chunks_exact(by as usize)) {
+                    *count += pixels.iter().map(|&value| u32::from(value > 0)).sum::<u32>();
+                }
+            }
+            values.extend(counts.iter().map(|&count| if count >= needed { 255 } else { 0 }));
+        }
         Self { width, height, values }
     }
 
@@ -63,6 +83,8 @@ mod tests {
         assert_eq!(PixelMask::new(4, 2, vec![0; 7]), None);
         assert!(mask.at(3, 0) && !mask.at(2, 0) && !mask.at(4, 0) && !mask.at(0, 2));
         assert_eq!(mask.reduced(2).values(), [255, 0], "one of four pixels says no");
+        assert_eq!(mask.mostly(2).values(), [255, 255]);
+        assert_eq!((mask.reduced(3).size(), mask.reduced(3).values().len()), ((1, 0), 0));
         assert_eq!((mask.cut(3, 1).size(), mask.cut(3, 1).values()), ((3, 1), &[255, 255, 0][..]));
     }
 }

@@ -213,6 +213,9 @@ pub struct Dataset {
     pub validation: Views<Validation>,
     /// Views to report; may be empty.
     pub test: Views<Test>,
+    /// How many times as long the sides of test photographs are as they would be among those to train on, at
+    /// least 1: so that figures can be of larger pictures, too.
+    pub test_scale: u32,
     /// What training begins with.
     pub start: Start,
     /// Where nothing can be.

@@ -9,19 +9,19 @@
 use std::path::{Path, PathBuf};
 
 use codec_core::Footprint;
-use rayon::prelude::*;
 use render_host::{Camera, camera::blender};
 
 use super::{
     error::DatasetError,
-    files::{is_copy, name_of, read_bytes, read_mask, read_photograph},
+    files::{is_copy, name_of, read_bytes},
+    listed::{Listed, ListedPhotograph, claimed_sizes},
     nerfstudio::{self, Splits},
 };
 use crate::{
     scene::Up,
     train::{
-        pixel_mask::PixelMask,
-        views::{Dataset, FreeSpace, PosedPhotograph, Start, Views, distinct},
+        reduction::Trimmed,
+        views::{Dataset, FreeSpace, Start, distinct},
     },
 };
 
@@ -29,62 +29,46 @@ use crate::{
 const TEST_EVERY: usize = 8;
 /// Endings of images, in the order in which they are looked for.
 const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
-pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
-    let own = |name: &str| -> Result<Listed, DatasetError> {
-        let path = folder.join(format!("transforms_{name}.json"));
-        if path.is_file() { photographs(folder, &path) } else { Ok(Listed::default()) }
-    };
-    let whole = folder.join("transforms.json");
-    let in_splits = folder.join("transforms_train.json").is_file();
-    let mut instants = None;
-    let (train, validation, test, has_alpha) = if in_splits {
-        let train = own("train")?;
-        (train.views, own("val")?.views, own("test")?.views, train.has_alpha)
+
+pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Option<Trimmed>), DatasetError> {
+    let (listed, instants) = if folder.join("transforms_train.json").is_file() {
+        let own = |name: &str| {
+            let path = folder.join(format!("transforms_{name}.json"));
+            if path.is_file() { Ok(photographs(folder, &path)?.0) } else { Ok(Vec::new()) }
+        };
+        let (train, validation, test) = (own("train")?, own("val")?, own("test")?);
+        (Listed { folder: folder.to_owned(), train, validation, test }, None)
     } else {
-        let Listed { views, has_alpha, splits } = photographs(folder, &whole)?;
+        let (all, splits) = photographs(folder, &folder.join("transforms.json"))?;
         // Those of test views count: otherwise frames would fall between the instants of all others.
-        instants = Some(distinct(views.iter().map(|view| view.time)));
+        let instants = distinct(all.iter().map(|view| view.time));
         let splits = splits.unwrap_or_else(|| {
-            let (test, train) = (0..views.len()).partition(|index| index % TEST_EVERY == TEST_EVERY - 1);
+            let (test, train) = (0..all.len()).partition(|index| index % TEST_EVERY == TEST_EVERY - 1);
             Splits { train, validation: Vec::new(), test }
         });
-        let mut views: Vec<Option<PosedPhotograph>> = views.into_iter().map(Some).collect();
-        // What is for validation may be for testing too.
-        let of_validation = splits.validation.iter().filter_map(|&index| views.get(index)?.clone());
-        let validation = of_validation.collect();
-        let mut taken = |indices: &[usize]| -> Vec<PosedPhotograph> {
-            indices.iter().filter_map(|&index| views.get_mut(index)?.take()).collect()
-        };
-        (taken(&splits.train), validation, taken(&splits.test), has_alpha)
+        let of = |indices: &[usize]| indices.iter().filter_map(|&index| all.get(index).cloned()).collect();
+        let (train, validation, test) = (of(&splits.train), of(&splits.validation), of(&splits.test));
+        (Listed { folder: folder.to_owned(), train, validation, test }, Some(instants))
     };
-    let of_views = |source| DatasetError::Views { path: folder.to_owned(), source };
-    let train = Views::new(train).map_err(of_views)?;
-    let frames = instants.unwrap_or_else(|| Views::instants(&train));
-    Ok(Dataset {
+    let photographs = listed.read(max_side)?;
+    let dataset = Dataset {
         name: name_of(folder),
-        train,
-        validation: Views::new(validation).map_err(of_views)?,
-        test: Views::new(test).map_err(of_views)?,
+        frames: instants.unwrap_or_else(|| photographs.train.instants()),
+        train: photographs.train,
+        validation: photographs.validation,
+        test: photographs.test,
+        test_scale: photographs.test_scale,
         start: Start::VisualHull,
         free_space: FreeSpace::default(),
-        has_alpha,
-        frames,
+        has_alpha: photographs.has_alpha,
         up: Up::Z,
         footprint: Footprint::Pixel,
-    })
+    };
+    Ok((dataset, photographs.trimmed))
 }
 
-/// The photographs of the frames of a file.
-#[derive(Default)]
-struct Listed {
-    views: Vec<PosedPhotograph>,
-    /// Whether some of them have an outline.
-    has_alpha: bool,
-    /// What they are for, where the file says so.
-    splits: Option<Splits>,
-}
-
-fn photographs(folder: &Path, path: &Path) -> Result<Listed, DatasetError> {
+/// The photographs of the frames of a file, and what they are for, where it says so.
+fn photographs(folder: &Path, path: &Path) -> Result<(Vec<ListedPhotograph>, Option<Splits>), DatasetError> {
     let bytes = read_bytes(path)?;
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     let cameras = |size| {
@@ -101,32 +85,22 @@ fn photographs(folder: &Path, path: &Path) -> Result<Listed, DatasetError> {
             allowed: "of all frames or of none is allowed",
         });
     }
-    let paths = named.iter().map(|view| image_path(folder, &view.name)).collect::<Result<Vec<_>, _>>()?;
+    let images = named.iter().map(|view| image_path(folder, &view.name)).collect::<Result<Vec<_>, _>>()?;
     let nerfstudio::Extras { masks, splits } = nerfstudio::read(path, text)?;
-    let read_mask =
-        |mask: &Option<PathBuf>| mask.as_ref().map(|mask| read_mask(&folder.join(mask))).transpose();
-    let masks = masks.par_iter().map(read_mask).collect::<Result<Vec<_>, _>>()?;
-    let images = paths.par_iter().map(|path| read_photograph(path)).collect::<Result<Vec<_>, _>>()?;
-    // An image that is opaque all over may be stored without alpha.
-    let has_alpha = images.iter().any(|(_, has_alpha)| *has_alpha);
-    let size = images.first().map(|(photograph, _)| (photograph.width(), photograph.height()));
-    let views =
-        cameras(size)?.into_iter().zip(images).zip(masks).map(|((view, (photograph, _)), counted)| {
-            let camera = of_size(&view.camera, photograph.width(), photograph.height());
-            let time = view.time.unwrap_or(0.0) as f32;
-            let size = (photograph.width(), photograph.height());
-            if let Some((width, height)) = counted.as_ref().map(PixelMask::size).filter(|mask| *mask != size)
-            {
-                return Err(DatasetError::Field {
-                    path: path.to_owned(),
-                    field: format!("mask_path of {}", view.name),
-                    found: format!("an image of {width} x {height}"),
-                    allowed: "one of the size of file_path is needed",
-                });
-            }
-            Ok(PosedPhotograph { name: view.name, camera, time, photograph, foreground: None, counted })
-        });
-    Ok(Listed { views: views.collect::<Result<_, _>>()?, has_alpha, splits })
+    let sizes = claimed_sizes(&images)?;
+    let views = cameras(sizes.first().copied())?;
+    let listed = views.into_iter().zip(images).zip(sizes).zip(masks).map(|(((view, image), size), mask)| {
+        ListedPhotograph {
+            camera: of_size(&view.camera, size.0, size.1),
+            name: view.name,
+            time: view.time.unwrap_or(0.0) as f32,
+            image,
+            size,
+            foreground: None,
+            counted: mask.map(|mask| folder.join(mask)),
+        }
+    });
+    Ok((listed.collect(), splits))
 }
 
 /// The camera of a larger or smaller copy of its image; unchanged where that has another shape.

@@ -6,16 +6,22 @@
 use std::path::{Path, PathBuf};
 
 use codec_core::Footprint;
-use rayon::prelude::*;
-use render_host::camera::colmap::{self, Format};
+use render_host::camera::{
+    View,
+    colmap::{self, Format},
+};
 
 use super::{
     error::DatasetError,
-    files::{is_copy, name_of, read_bytes, read_photograph},
+    files::{is_copy, name_of, read_bytes},
+    listed::{Listed, ListedPhotograph, claimed_sizes},
 };
 use crate::{
     scene::Up,
-    train::views::{ColouredPoint, Dataset, FreeSpace, PosedPhotograph, Start, Views},
+    train::{
+        reduction::Trimmed,
+        views::{ColouredPoint, Dataset, FreeSpace, Start},
+    },
 };
 
 /// One image in this many is for testing.
@@ -36,7 +42,7 @@ pub(super) fn model(folder: &Path) -> Option<PathBuf> {
     MODELS.map(|model| folder.join(model)).into_iter().find(has_cameras)
 }
 
-pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
+pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Option<Trimmed>), DatasetError> {
     let model = model(folder).unwrap_or_else(|| folder.join(MODELS[0]));
     let (extension, format) =
         if model.join("cameras.bin").is_file() { ("bin", Format::Binary) } else { ("txt", Format::Text) };
@@ -44,53 +50,52 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
     let views = colmap::read(&read_bytes(&file("cameras"))?, &read_bytes(&file("images"))?, format)
         .map_err(|source| DatasetError::Cameras { path: model.clone(), source })?;
     let images = image_folder(folder)?;
-    let posed = views
-        .into_par_iter()
-        .map(|view| {
-            let path = image_path(&images, &view.name);
-            let (photograph, _) = read_photograph(&path)?;
-            let (width, height) = (photograph.width(), photograph.height());
-            if !is_copy(&view.camera, width, height) {
-                let (camera_width, camera_height) = (view.camera.width(), view.camera.height());
-                return Err(DatasetError::Field {
-                    path,
-                    field: "size".to_owned(),
-                    found: format!("{width} x {height}, of a camera of {camera_width} x {camera_height}"),
-                    allowed: "that of its camera, or of a larger or smaller copy, is allowed",
-                });
-            }
-            let camera = view
-                .camera
-                .resized(photograph.width(), photograph.height())
-                .map_err(|source| DatasetError::Cameras { path, source })?;
-            Ok(PosedPhotograph {
-                name: view.name,
-                camera,
-                time: 0.0,
-                photograph,
-                foreground: None,
-                counted: None,
-            })
-        })
-        .collect::<Result<Vec<_>, DatasetError>>()?;
-    let (mut train, mut test) = (Vec::new(), Vec::new());
-    for (index, view) in posed.into_iter().enumerate() {
-        if index.is_multiple_of(TEST_EVERY) { test.push(view) } else { train.push(view) }
+    let paths: Vec<PathBuf> = views.iter().map(|view| image_path(&images, &view.name)).collect();
+    let sizes = claimed_sizes(&paths)?;
+    let mut listed =
+        Listed { folder: folder.to_owned(), train: Vec::new(), validation: Vec::new(), test: Vec::new() };
+    for (index, ((View { name, camera, .. }, image), size)) in
+        views.into_iter().zip(paths).zip(sizes).enumerate()
+    {
+        let (width, height) = size;
+        if !is_copy(&camera, width, height) {
+            let (camera_width, camera_height) = (camera.width(), camera.height());
+            return Err(DatasetError::Field {
+                path: image,
+                field: "size".to_owned(),
+                found: format!("{width} x {height}, of a camera of {camera_width} x {camera_height}"),
+                allowed: "that of its camera, or of a larger or smaller copy, is allowed",
+            });
+        }
+        let camera = camera.resized(width, height);
+        let camera = camera.map_err(|source| DatasetError::Cameras { path: image.clone(), source })?;
+        let split = if index.is_multiple_of(TEST_EVERY) { &mut listed.test } else { &mut listed.train };
+        split.push(ListedPhotograph {
+            name,
+            camera,
+            time: 0.0,
+            image,
+            size,
+            foreground: None,
+            counted: None,
+        });
     }
-    let of_views = |source| DatasetError::Views { path: folder.to_owned(), source };
+    let photographs = listed.read(max_side)?;
     let points = points(&file("points3D"), format)?;
-    Ok(Dataset {
+    let dataset = Dataset {
         name: name_of(folder),
-        train: Views::new(train).map_err(of_views)?,
-        validation: Views::new(Vec::new()).map_err(of_views)?,
-        test: Views::new(test).map_err(of_views)?,
+        train: photographs.train,
+        validation: photographs.validation,
+        test: photographs.test,
+        test_scale: photographs.test_scale,
         start: Start::Points(points),
         free_space: FreeSpace::default(),
         has_alpha: false,
         frames: 1,
         up: Up::MinusY,
         footprint: Footprint::Pixel,
-    })
+    };
+    Ok((dataset, photographs.trimmed))
 }
 
 /// The image of this name; of reduced copies, which are often JPEG, the one of this stem.

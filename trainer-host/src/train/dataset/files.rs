@@ -17,19 +17,30 @@ pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>, DatasetError> {
     std::fs::read(path).map_err(|source| DatasetError::File { path: path.to_owned(), source })
 }
 
+/// Bytes that any photograph may take in memory.
+const ALWAYS_ALLOWED: u64 = 64 << 20;
+/// Bytes that it may take besides, for each byte of its file: black and white masks of one colour shrink as
+/// far as that, and a small file that claims more pixels is damaged or means harm.
+const PER_FILE_BYTE: u64 = 40_000;
+
 /// The photograph in an image file; `true` where some of it is transparent.
 pub(super) fn read_photograph(path: &Path) -> Result<(Photograph, bool), DatasetError> {
     let bytes = read_bytes(path)?;
     let failed = |source| DatasetError::Image { path: path.to_owned(), source };
-    let bounds = Bounds { side: MAX_SIDE, bytes: 4 * u64::from(MAX_SIDE) * u64::from(MAX_SIDE) };
+    let most = 4 * u64::from(MAX_SIDE) * u64::from(MAX_SIDE);
+    let bounds =
+        Bounds { side: MAX_SIDE, bytes: most.min(ALWAYS_ALLOWED + PER_FILE_BYTE * bytes.len() as u64) };
     let image = Rgba8::decode(&bytes, bounds).map_err(|e| failed(ImageError::Codec(e.to_string())))?;
-    let premultiplied = image.data().chunks_exact(4).flat_map(|pixel| {
-        let by_alpha = |c: usize| ((u32::from(pixel[c]) * u32::from(pixel[3]) + 127) / 255) as u8;
-        [by_alpha(0), by_alpha(1), by_alpha(2), pixel[3]]
-    });
+    drop(bytes);
     let (width, height) = image.size();
-    let has_alpha = image.data().iter().skip(3).step_by(4).any(|&alpha| alpha < 255);
-    Photograph::new(width, height, premultiplied.collect()).map(|p| (p, has_alpha)).map_err(failed)
+    let mut rgba = image.into_data();
+    let mut has_alpha = false;
+    for [r, g, b, a] in rgba.as_chunks_mut::<4>().0.iter_mut().filter(|pixel| pixel[3] < 255) {
+        has_alpha = true;
+        let by_alpha = |v: u8| ((u32::from(v) * u32::from(*a) + 127) / 255) as u8;
+        [*r, *g, *b] = [*r, *g, *b].map(by_alpha);
+    }
+    Photograph::new(width, height, rgba).map(|p| (p, has_alpha)).map_err(failed)
 }
 
 /// The mask in an image file: yes where it is not black.

@@ -5,24 +5,27 @@
 //! A meta file has `w` and `h` (pixels) and, by frame and camera, `k` (3 × 3), `w2c` (4 × 4, OpenCV axes),
 //! `fn` (file name under `ims`) and `cam_id`. Frame `i` of `n` is at time `i / (n - 1)`.
 
-use std::{collections::BTreeSet, path::Path};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
 
 use codec_core::Footprint;
 use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
-use rayon::prelude::*;
 use render_host::{Camera, camera::View};
 use serde::Deserialize;
 
 use super::{
     error::DatasetError,
-    files::{name_of, read_bytes, read_mask, read_photograph},
+    files::{name_of, read_bytes},
+    listed::{Listed, ListedPhotograph, claimed_sizes},
 };
 use crate::{
     scene::Up,
     train::{
-        pixel_mask::PixelMask,
-        views::{ColouredPoint, Dataset, FreeSpace, PosedPhotograph, Start, Views},
+        reduction::Trimmed,
+        views::{ColouredPoint, Dataset, FreeSpace, PosedPhotograph, Start},
     },
 };
 
@@ -49,27 +52,31 @@ struct Meta {
     names: Vec<Vec<String>>,
 }
 
-pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
-    let train = split(folder, "train_meta.json")?;
-    let test =
-        if folder.join("test_meta.json").is_file() { split(folder, "test_meta.json")? } else { Vec::new() };
-    let of_views = |source| DatasetError::Views { path: folder.to_owned(), source };
-    let free_space = free_space(&train);
-    let start = Start::Points(points_inside(&train, &free_space));
-    let train = Views::new(train).map_err(of_views)?;
-    let frames = train.instants();
-    Ok(Dataset {
+pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Option<Trimmed>), DatasetError> {
+    let has_test = folder.join("test_meta.json").is_file();
+    let listed = Listed {
+        folder: folder.to_owned(),
+        train: split(folder, "train_meta.json")?,
+        validation: Vec::new(),
+        test: if has_test { split(folder, "test_meta.json")? } else { Vec::new() },
+    };
+    let photographs = listed.read(max_side)?;
+    let train = photographs.train.photographs();
+    let free_space = free_space(train);
+    let dataset = Dataset {
         name: name_of(folder),
-        train,
-        validation: Views::new(Vec::new()).map_err(of_views)?,
-        test: Views::new(test).map_err(of_views)?,
-        start,
+        start: Start::Points(points_inside(train, &free_space)),
+        frames: photographs.train.instants(),
+        train: photographs.train,
+        validation: photographs.validation,
+        test: photographs.test,
+        test_scale: photographs.test_scale,
         free_space,
         has_alpha: false,
-        frames,
         up: Up::MinusY,
         footprint: Footprint::Pixel,
-    })
+    };
+    Ok((dataset, photographs.trimmed))
 }
 
 /// The cameras of a meta file, frame after frame, with their times.
@@ -114,27 +121,18 @@ pub fn cameras(path: &Path) -> Result<Vec<View>, DatasetError> {
     wanted.into_iter().map(view).collect()
 }
 
-fn split(folder: &Path, file: &str) -> Result<Vec<PosedPhotograph>, DatasetError> {
-    let photographed = |View { name, time, camera }: View| {
-        let (photograph, _) = read_photograph(&folder.join("ims").join(&name))?;
+fn split(folder: &Path, file: &str) -> Result<Vec<ListedPhotograph>, DatasetError> {
+    let views = cameras(&folder.join(file))?;
+    let paths: Vec<PathBuf> = views.iter().map(|view| folder.join("ims").join(&view.name)).collect();
+    let sizes = claimed_sizes(&paths)?;
+    let listed = views.into_iter().zip(paths).zip(sizes).map(|((view, image), size)| {
+        let View { name, time, camera } = view;
         let mask = folder.join("seg").join(&name).with_extension("png");
         let has_masks = mask.parent().is_some_and(Path::is_dir);
-        let foreground = has_masks.then(|| read_mask(&mask)).transpose()?;
-        let own = (photograph.width(), photograph.height());
-        if let Some((width, height)) = foreground.as_ref().map(PixelMask::size).filter(|size| *size != own) {
-            return Err(DatasetError::Field {
-                path: mask,
-                field: "size".to_owned(),
-                found: format!("{width} x {height}"),
-                allowed: "that of its image in ims is needed",
-            });
-        }
-        let time = time.unwrap_or(0.0) as f32;
-        Ok(PosedPhotograph { name, camera, time, photograph, foreground, counted: None })
-    };
-    // All, then the first error: which of several comes first by the clock differs.
-    let all: Vec<_> = cameras(&folder.join(file))?.into_par_iter().map(photographed).collect();
-    all.into_iter().collect()
+        let (time, foreground) = (time.unwrap_or(0.0) as f32, has_masks.then_some(mask));
+        ListedPhotograph { name, camera, time, image, size, foreground, counted: None }
+    });
+    Ok(listed.collect())
 }
 
 /// The box that the cameras stand in.
