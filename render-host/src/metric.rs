@@ -10,6 +10,7 @@ pub mod heat;
 pub mod lpips;
 pub mod psnr;
 pub mod ssim;
+pub mod where_counted;
 
 pub use distortion::distortion;
 pub use flicker::flicker;
@@ -18,3 +19,4 @@ pub use heat::heat;
 pub use lpips::{Lpips, LpipsError};
 pub use psnr::{mse, psnr};
 pub use ssim::ssim;
+pub use where_counted::{ssim_where_counted, where_counted};

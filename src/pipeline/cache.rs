@@ -181,12 +181,13 @@ fn measured(
     Ok(values.into_iter().chain(digested).map(|(name, value)| (name.to_owned(), value)).collect())
 }
 
-/// A digest of every photograph, its camera and its time.
+/// A digest of every photograph, its camera, its time and its mask.
 fn digest_of_photographs(photographs: &ReferencePhotographs) -> Result<Digest> {
     let mut all = Digest::new();
     for photograph in photographs.photographs() {
         let camera = serde_json::to_vec(&photograph.camera)?;
         all = all.bytes(&camera).values(&[photograph.time]).values(photograph.image.rgb());
+        all = photograph.counted.iter().fold(all, |all, mask| all.bytes(mask.values()));
     }
     Ok(all)
 }

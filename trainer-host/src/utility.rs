@@ -1,7 +1,8 @@
 //! Measures the counterfactual utility of every group: what it adds to a picture (paper section 5).
 //!
 //! For group g and a valid partial state m without g: Δ_g(m) = D(I, R(m)) − D(I, R(m ∪ g)), with
-//! D = MSE + 0.20 (1 − SSIM) against a reference I: the source's own render, or a photograph. A context is
+//! D = MSE + 0.20 (1 − SSIM) against a reference I: the source's own render, or a photograph, equal to every
+//! picture where its mask leaves pixels out. A context is
 //! a random dependency-closed state; inside it each cell is stepped through its levels with everything else
 //! held, so that L + 1 pictures measure L groups. All contexts of a span are rendered in the same views (a
 //! frame and a camera each), so mean, lower tail and deviation are over states and not over views. The gain
@@ -285,7 +286,7 @@ fn deltas_in_view(
         are_shared &= known == 0 || clusters.values() == known;
         if !are_shared || clusters.values() > MAX_VALUES || context + 1 == options.states() {
             let shown: Vec<Vec<u32>> = waiting.iter().map(|(_, shown, _)| shown.clone()).collect();
-            let found = clusters.distortions(&shown, &view.camera, &view.reference, &options.settings)?;
+            let found = clusters.distortions(&shown, &view, &options.settings)?;
             for (index, (context, _, steps)) in waiting.drain(..).enumerate() {
                 for (cluster, groups) in span.groups(map) {
                     let distortion =

@@ -12,6 +12,7 @@ use super::{
     variants::Variants,
     versions::{Distortions, Versions},
 };
+use crate::metric;
 
 impl Engine {
     /// Squared error of each world, bit for bit that of the world rendered alone.
@@ -35,12 +36,27 @@ impl Engine {
         versions: &Versions,
         contexts: &[Vec<u32>],
     ) -> Result<Distortions, CounterfactualError> {
+        self.distortions_where(versions, contexts, None)
+    }
+
+    /// The same, where pixels whose value in `counted`, one per pixel, row by row, is 0 are taken as equal to
+    /// the reference: the distortion of [`metric::where_counted`].
+    ///
+    /// # Errors
+    /// As [`Engine::distortions`], or not one value per pixel.
+    pub fn distortions_where(
+        &self,
+        versions: &Versions,
+        contexts: &[Vec<u32>],
+        counted: Option<&[u8]>,
+    ) -> Result<Distortions, CounterfactualError> {
         let (found, needed) = (versions.groups(), self.groups);
         if found != needed {
             return Err(CounterfactualError::States { found, needed });
         }
         versions.check(contexts)?;
-        Ok(distortion::distortions(self, versions, contexts))
+        counted.map(|counted| metric::where_counted::check(&self.against, counted)).transpose()?;
+        Ok(distortion::distortions(self, versions, contexts, counted))
     }
 
     /// Squared error of each world without early stop: relative error below 2e-6 against f64 arithmetic.

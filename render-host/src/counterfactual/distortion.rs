@@ -33,16 +33,21 @@ const BLOCKS_AT_ONCE: usize = 16 * 1600;
 const BAND: usize = 16;
 
 /// All distortions of all contexts.
-pub(super) fn distortions(engine: &Engine, versions: &Versions, contexts: &[Vec<u32>]) -> Distortions {
-    let target = Target::new(&engine.against);
+pub(super) fn distortions(
+    engine: &Engine,
+    versions: &Versions,
+    contexts: &[Vec<u32>],
+    counted: Option<&[u8]>,
+) -> Distortions {
+    let comparison = &Comparison { engine, target: Target::new(&engine.against), counted };
     let blocks = engine.shared.tiles() * BLOCKS;
     let mut base = Vec::with_capacity(contexts.len());
     let mut changed = Vec::new();
     for some in contexts.chunks((BLOCKS_AT_ONCE / blocks.max(1)).max(1)) {
         let first = base.len();
         let tiles = patches::draw(engine, versions, some);
-        let pictures: Vec<Base> = (0..some.len()).map(|i| Base::new(engine, &target, &tiles, i)).collect();
-        base.extend(pictures.iter().map(|picture| picture.distortion(&target)));
+        let pictures: Vec<Base> = (0..some.len()).map(|i| Base::new(comparison, &tiles, i)).collect();
+        base.extend(pictures.iter().map(|picture| picture.distortion(&comparison.target)));
         let mut worlds = by_world(&tiles, some.len() * versions.groups());
         parallel::for_each_with(
             engine.settings.parallel,
@@ -50,7 +55,7 @@ pub(super) fn distortions(engine: &Engine, versions: &Versions, contexts: &[Vec<
             |scratch: &mut TileScratch, _, world| {
                 let context = world.at / versions.groups();
                 world.distortion =
-                    scratch.distortion(engine, &target, &tiles, (context, &pictures[context]), world);
+                    scratch.distortion(comparison, &tiles, (context, &pictures[context]), world);
             },
         );
         for World { at, distortion, .. } in worlds {
@@ -60,6 +65,32 @@ pub(super) fn distortions(engine: &Engine, versions: &Versions, contexts: &[Vec<
     let mut out = Distortions::new(versions, base);
     changed.into_iter().for_each(|(context, group, distortion)| out.set(context, group, distortion));
     out
+}
+
+/// What pictures are compared with, and where.
+struct Comparison<'a> {
+    engine: &'a Engine,
+    target: Target,
+    /// 0 of pixels that are taken as equal, where some are.
+    counted: Option<&'a [u8]>,
+}
+
+impl Comparison<'_> {
+    /// `pixels` of a block of a tile, with those of the reference where they do not count.
+    fn counted(&self, tile: usize, block: usize, place: &Place, pixels: &Pixels) -> Pixels {
+        let mut out = *pixels;
+        let Some(counted) = self.counted else { return out };
+        let (left, top) = (block % ACROSS * SIDE, block / ACROSS * SIDE);
+        for (row, y) in place.rows.clone().enumerate() {
+            for (column, x) in place.columns.clone().enumerate() {
+                if counted[y * self.engine.shared.size[0] + x] == 0 {
+                    let reference = &self.engine.reference[tile][top + row];
+                    (0..3).for_each(|c| out[c][SIDE * row + column] = reference[c][left + column]);
+                }
+            }
+        }
+        out
+    }
 }
 
 /// A context with one cluster at another version, and where it differs.
@@ -103,7 +134,8 @@ struct Base {
 }
 
 impl Base {
-    fn new(engine: &Engine, target: &Target, tiles: &[Changes], context: usize) -> Self {
+    fn new(comparison: &Comparison<'_>, tiles: &[Changes], context: usize) -> Self {
+        let Comparison { engine, target, .. } = comparison;
         let shared = &engine.shared;
         let [width, height] = shared.size;
         let mut planes: Planes = [0; 3].map(|_| vec![0.0; width * height]);
@@ -111,6 +143,7 @@ impl Base {
         for (tile, changes) in tiles.iter().enumerate() {
             for (block, pixels) in changes.base(context).iter().enumerate() {
                 let place = Place::of(shared.corner(tile), block, shared.size);
+                let pixels = &comparison.counted(tile, block, &place, pixels);
                 place.write(pixels, width, &mut planes);
                 squares.push(square(pixels, &engine.reference[tile], block, &place));
             }
@@ -202,13 +235,13 @@ impl TileScratch {
     /// Distortion of a world of `context`, whose picture is `base`.
     fn distortion(
         &mut self,
-        engine: &Engine,
-        target: &Target,
+        comparison: &Comparison<'_>,
         tiles: &[Changes],
         (context, base): (usize, &Base),
         world: &World,
     ) -> f64 {
         let Self { context: shown, planes, scratch, similarities, reached } = self;
+        let Comparison { engine, target, .. } = comparison;
         if shown.replace(context) != Some(context) {
             planes.clone_from(&base.planes);
         }
@@ -222,6 +255,7 @@ impl TileScratch {
         for (tile, patch) in &world.patches {
             let (at, block, place) = (*tile as usize, patch.block as usize, place(*tile, patch));
             let pixels = &tiles[at].pixels[patch.pixels as usize];
+            let pixels = &comparison.counted(at, block, &place, pixels);
             error += square(pixels, &engine.reference[at], block, &place) - base.squares[at * BLOCKS + block];
             place.write(pixels, size[0], planes);
             reach(target, &place, reached);

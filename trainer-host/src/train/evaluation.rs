@@ -1,5 +1,7 @@
 //! Evaluation renders a trained scene as held-out cameras saw it and compares.
 
+use std::borrow::Cow;
+
 use codec_core::Footprint;
 use rayon::prelude::*;
 use render_host::{
@@ -18,19 +20,21 @@ pub struct Evaluation {
     pub size: (u32, u32),
     /// Background of both.
     pub background: [f32; 3],
-    /// Mean over views of each view's PSNR, dB.
+    /// Mean over views of each view's PSNR, dB; of a photograph with a mask over pixels that count: those of a
+    /// smaller picture that cover only such pixels.
     pub psnr_db: f64,
     /// Mean over views of the PSNR over pixels whose alpha is at least a half, dB.
     pub foreground_psnr_db: f64,
     /// Lowest PSNR of a view, dB.
     pub worst_psnr_db: f64,
-    /// Mean SSIM.
+    /// Mean SSIM; of a photograph with a mask over windows whose middle counts, in which pixels that do not
+    /// count are equal ([`metric::ssim_where_counted`]).
     pub ssim: f64,
     /// PSNR of each view, dB, in the order of the views.
     pub psnr_of_views_db: Vec<f64>,
 }
 
-/// How different pictures look from photographs to a person.
+/// How different pictures look from photographs to a person. Pixels that a mask leaves out are equal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Perceptual {
     /// Mean FLIP, 0 to 1.
@@ -74,6 +78,21 @@ pub struct Compared {
     pub rendered: Image,
     /// The photograph over the background.
     pub photograph: Image,
+    /// What of it is compared, where a mask of its size says so.
+    pub counted: Option<PixelMask>,
+}
+
+impl Compared {
+    /// What was rendered, equal to the photograph where a mask leaves pixels out.
+    ///
+    /// # Errors
+    /// Parts of different sizes.
+    pub fn where_counted(&self) -> Result<Cow<'_, Image>, ImageError> {
+        Ok(match &self.counted {
+            Some(mask) => Cow::Owned(metric::where_counted(&self.rendered, &self.photograph, mask.values())?),
+            None => Cow::Borrowed(&self.rendered),
+        })
+    }
 }
 
 /// A scene that can be shown at any time from 0 to 1.
@@ -145,7 +164,8 @@ pub fn compare<S>(
     if reduced > 1 {
         photograph = photograph.resized_box(width, height)?;
     }
-    Ok(Compared { rendered: Image::new(width, height, clamped)?, photograph })
+    let counted = view.counted.as_ref().map(|mask| mask.reduced(reduced));
+    Ok(Compared { rendered: Image::new(width, height, clamped)?, photograph, counted })
 }
 
 /// Evaluates `scene` on all `views`, `reduced` times smaller, over `background`.
@@ -159,22 +179,23 @@ pub fn evaluate<S: Sync>(
     background: [f32; 3],
 ) -> Result<Evaluation, EvaluationError> {
     let measured = views.photographs().par_iter().enumerate().map(|(index, view)| {
-        let Compared { rendered, photograph } = compare(scene, views, index, reduced, background)?;
+        let Compared { rendered, photograph, counted } = compare(scene, views, index, reduced, background)?;
         let is_foreground = |x: u32, y: u32| {
             let (x, y) = (x * reduced, y * reduced);
             let at = (y * view.photograph.width() + x) as usize;
             let alpha = || view.photograph.rgba().get(4 * at + 3).copied().unwrap_or(0);
             view.foreground.as_ref().map_or_else(|| alpha() >= 128, |mask| mask.at(x, y))
         };
-        let counts = |mask: &PixelMask, x: u32, y: u32| mask.at(x * reduced, y * reduced);
-        let counted = view.counted.as_ref();
-        let is_counted = |x: u32, y: u32| counted.is_none_or(|mask| counts(mask, x, y));
-        let of_counted = counted.and_then(|_| psnr_where(&rendered, &photograph, is_counted));
+        let is_counted = |x: u32, y: u32| counted.as_ref().is_none_or(|mask| mask.at(x, y));
+        let of_counted = counted.as_ref().and_then(|_| psnr_where(&rendered, &photograph, is_counted));
         Ok::<_, EvaluationError>(OfView {
             size: rendered.size(),
             psnr_db: of_counted.map_or_else(|| metric::psnr(&rendered, &photograph), Ok)?,
             foreground_db: psnr_where(&rendered, &photograph, |x, y| is_foreground(x, y) && is_counted(x, y)),
-            ssim: metric::ssim(&rendered, &photograph)?,
+            ssim: match &counted {
+                Some(mask) => metric::ssim_where_counted(&rendered, &photograph, mask.values())?,
+                None => metric::ssim(&rendered, &photograph)?,
+            },
         })
     });
     let measured = measured.collect::<Result<Vec<_>, _>>()?;
@@ -215,10 +236,11 @@ pub fn perceptual<S>(
 ) -> Result<Perceptual, EvaluationError> {
     let (mut flip, mut lpips) = (0.0, 0.0);
     for index in 0..views.photographs().len() {
-        let Compared { rendered, photograph } = compare(scene, views, index, reduced, background)?;
-        flip += metric::flip(&rendered, &photograph, metric::flip::PIXELS_PER_DEGREE)?.mean;
+        let compared = compare(scene, views, index, reduced, background)?;
+        let (rendered, photograph) = (compared.where_counted()?, &compared.photograph);
+        flip += metric::flip(&rendered, photograph, metric::flip::PIXELS_PER_DEGREE)?.mean;
         if let Some(network) = network {
-            lpips += network.distance(&rendered, &photograph)?;
+            lpips += network.distance(&rendered, photograph)?;
         }
     }
     let count = views.photographs().len() as f64;

@@ -10,7 +10,7 @@ use render_host::metric;
 
 use super::{
     error::TrainError,
-    evaluation::{self, Compared, EvaluationError},
+    evaluation::{self, EvaluationError},
     model::Model,
     motion::{Posed, Skinned},
     rotation::{Quaternion, dot},
@@ -45,9 +45,8 @@ impl Trial<'_> {
         let mut sum = 0.0;
         for k in 0..count {
             let index = k * all / count;
-            let Compared { rendered, photograph } =
-                evaluation::compare(model, self.views, index, self.reduced, self.background)?;
-            sum += metric::psnr(&rendered, &photograph)?;
+            let compared = evaluation::compare(model, self.views, index, self.reduced, self.background)?;
+            sum += metric::psnr(&*compared.where_counted()?, &compared.photograph)?;
         }
         Ok(sum / count.max(1) as f64)
     }

@@ -22,7 +22,8 @@ pub struct PosedPhotograph {
     pub photograph: Photograph,
     /// What of it moves or is meant, where a mask of its size says so; without, what is opaque.
     pub foreground: Option<PixelMask>,
-    /// What of it is trained on, and compared by PSNR, where a mask of its size says so; without, all.
+    /// What of it is trained on and compared, where a mask of its size says so; without, all. In losses and
+    /// metrics that look at a pixel's surroundings the others are equal to the photograph.
     pub counted: Option<PixelMask>,
 }
 

@@ -109,5 +109,9 @@ fn distance(
     let settings = Settings { parallel: false, ..options.settings.clone() };
     let rendered = renderer.render(&splats, &view.camera, &settings);
     let picture = rendered.map_err(|e| refused(&e))?.image;
-    metric::distortion(&picture, &view.reference).map_err(|e| refused(&e))
+    let picture = match &view.counted {
+        Some(mask) => metric::where_counted(&picture, &view.reference, mask.values()),
+        None => Ok(picture),
+    };
+    picture.and_then(|picture| metric::distortion(&picture, &view.reference)).map_err(|e| refused(&e))
 }

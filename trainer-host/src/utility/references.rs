@@ -12,7 +12,10 @@ use rayon::prelude::*;
 use render_host::{Camera, Image, Renderer, Settings, Splats};
 
 use super::error::UtilityError;
-use crate::{scene::Scene, train::Views};
+use crate::{
+    scene::Scene,
+    train::{PixelMask, Views},
+};
 
 /// What states are compared with.
 #[derive(Clone, Copy, Debug)]
@@ -54,6 +57,8 @@ pub struct ReferencePhotograph {
     pub time: f32,
     /// The photograph.
     pub image: Image,
+    /// What of it is compared, where a mask of its size says so: elsewhere states count as equal to it.
+    pub counted: Option<PixelMask>,
 }
 
 /// What a view of a span is rendered for.
@@ -71,6 +76,7 @@ pub(super) struct View {
     pub(super) frame: u32,
     pub(super) camera: Camera,
     pub(super) reference: Image,
+    pub(super) counted: Option<PixelMask>,
 }
 
 impl ReferencePhotographs {
@@ -96,7 +102,8 @@ impl ReferencePhotographs {
             let camera = view.camera.resized(width, height).map_err(|error| refused(error.to_string()))?;
             let whole = view.photograph.over(background);
             let image = whole.resized_box(width, height).map_err(|error| refused(error.to_string()))?;
-            Ok(ReferencePhotograph { name: view.name.clone(), camera, time: view.time, image })
+            let counted = view.counted.as_ref().map(|mask| mask.reduced(by));
+            Ok(ReferencePhotograph { name: view.name.clone(), camera, time: view.time, image, counted })
         };
         let photographs: Result<Vec<_>, UtilityError> = views.photographs().par_iter().map(reduced).collect();
         let photographs = photographs?;
@@ -193,14 +200,15 @@ impl References<'_> {
                 let cameras = renders.cameras_of(quantity);
                 let camera = &cameras[index % cameras.len()];
                 let reference = renders.render(frame, camera, settings)?;
-                View { frame, camera: camera.clone(), reference }
+                View { frame, camera: camera.clone(), reference, counted: None }
             }
             Self::Photographs(photographs) => {
                 let clip = content.manifest.head().frames;
                 let chosen = photographs.of_span(&frames, clip, quantity, &mut random(span, 0, 0, seed))?;
                 let (place, frame) = chosen[index % chosen.len()];
-                let ReferencePhotograph { camera, image, .. } = &photographs.photographs[place];
-                View { frame, camera: camera.clone(), reference: image.clone() }
+                let ReferencePhotograph { camera, image, counted, .. } = &photographs.photographs[place];
+                let (camera, reference, counted) = (camera.clone(), image.clone(), counted.clone());
+                View { frame, camera, reference, counted }
             }
         };
         Ok((epoch, view))
@@ -223,8 +231,10 @@ impl References<'_> {
             Self::Photographs(photographs) => {
                 let all = &photographs.photographs;
                 let (width, height) = size(all.first().map(|photograph| &photograph.camera));
+                let masked = all.iter().filter(|photograph| photograph.counted.is_some()).count();
+                let masked = if masked > 0 { format!(", {masked} of them masked") } else { String::new() };
                 format!(
-                    "{} photographs at {width}x{height}, up to {} per span (gains: {})",
+                    "{} photographs at {width}x{height}{masked}, up to {} per span (gains: {})",
                     all.len(),
                     photographs.per_span,
                     2 * photographs.per_span

@@ -8,7 +8,7 @@ use crate::{
     Scene, Stream,
     encode::{self, encode},
     import::{self, synth},
-    train::{PosedPhotograph, Training, Views},
+    train::{PixelMask, PosedPhotograph, Training, Views},
     viewpoint::{Framing, Ring},
 };
 
@@ -149,6 +149,36 @@ fn utilities_against_photographs_are_those_against_the_renders_that_they_show() 
     assert!(alone.len() > 4);
     for (group, mean) in alone {
         assert!((table.groups[group].mean - mean).abs() < 1e-12, "group {group}");
+    }
+    // What no window around a pixel that counts reaches may be anything.
+    let masked = |clutter: u8| {
+        let view = |view: &PosedPhotograph| {
+            let (width, height) = (view.photograph.width(), view.photograph.height());
+            let is_left = |at: usize| at as u32 % width < 40;
+            let cluttered = |(at, pixel): (usize, &[u8])| {
+                if at as u32 % width < 16 {
+                    [clutter, 0, 0, 255]
+                } else {
+                    [pixel[0], pixel[1], pixel[2], pixel[3]]
+                }
+            };
+            let rgba = view.photograph.rgba().chunks_exact(4).enumerate().flat_map(cluttered).collect();
+            let values = (0..(width * height) as usize).map(|at| u8::from(!is_left(at))).collect();
+            let photograph = Photograph::new(width, height, rgba).unwrap();
+            PosedPhotograph { photograph, counted: PixelMask::new(width, height, values), ..view.clone() }
+        };
+        let views = photographs(&scene, &cameras, &frames).photographs().iter().map(view).collect();
+        ReferencePhotographs::new(&Views::<Training>::new(views).unwrap(), [0.0; 3], 48, 2).unwrap()
+    };
+    let (dark, bright) = (masked(0), masked(255));
+    let of = |photographs| measure(&References::Photographs(photographs), &content, &map, &options, &|_| {});
+    let masked = of(&dark).unwrap();
+    assert!(masked.protocol.contains("8 photographs at 48x36, 8 of them masked"), "{}", masked.protocol);
+    assert!(masked.groups != table.groups && masked.groups == of(&bright).unwrap().groups);
+    for (group, mean) in
+        measure_alone(&References::Photographs(&bright), &content, &map, &options, 5).unwrap()
+    {
+        assert!((masked.groups[group].mean - mean).abs() < 1e-12, "group {group}");
     }
     // Frames shown are those that the photographs were taken of: a reference is its render, but for 8 bits.
     let span = Span::Motion(codec_core::internals::ids::WindowId(0));

@@ -15,12 +15,12 @@ use codec_core::{
     },
 };
 use render_host::{
-    Camera, Image, Settings, Splats,
+    Settings, Splats,
     counterfactual::{self, Distortions, Engine, Variants},
 };
 
-use super::error::UtilityError;
-use crate::stream::Player;
+use super::{error::UtilityError, references::View};
+use crate::{stream::Player, train::PixelMask};
 
 /// A cluster as some state shows it.
 #[derive(Debug)]
@@ -116,15 +116,14 @@ impl<'a> Clusters<'a> {
         self.clusters.iter().map(|cluster| cluster.versions.len() * cluster.gaussians.len() * each).sum()
     }
 
-    /// Distortion from `reference` of every context, each a version per cluster, and of every version in it.
+    /// Distortion from a view's reference of every context, each a version per cluster, and of every version in it.
     ///
     /// # Errors
     /// Settings or a reference that the renderer refuses.
     pub(super) fn distortions(
         &self,
         contexts: &[Vec<u32>],
-        camera: &Camera,
-        reference: &Image,
+        View { camera, reference, counted, .. }: &View,
         settings: &Settings,
     ) -> Result<Distortions, UtilityError> {
         let counts: Vec<u32> = self.clusters.iter().map(|c| c.versions.len() as u32).collect();
@@ -134,7 +133,8 @@ impl<'a> Clusters<'a> {
         let splats = Splats::new(&gaussians, &sh_rest, degree).map_err(refused)?;
         let variants = Variants::new(splats, &groups, versions.groups()).map_err(refused)?;
         let engine = Engine::new(&variants, camera, reference, settings).map_err(refused)?;
-        engine.distortions(&versions, contexts).map_err(refused)
+        let counted = counted.as_ref().map(PixelMask::values);
+        engine.distortions_where(&versions, contexts, counted).map_err(refused)
     }
 
     /// Every version of every Gaussian, in order of Gaussians, so that equal depths are drawn in the order of

@@ -34,4 +34,8 @@ fn pixels_that_do_not_count_are_not_trained_on() {
     let clean_trained = trained(&clean, &options(), 300);
     let against = |views: &Dataset| evaluate(&*clean_trained.model(), &views.train, 1, [0.0; 3]).unwrap();
     assert!(against(&with).psnr_db > against(&without).psnr_db + 3.0);
+    assert!(against(&with).ssim > against(&without).ssim + 0.02);
+    let seen =
+        |views: &Dataset| perceptual(&*clean_trained.model(), &views.train, 1, [0.0; 3], None).unwrap();
+    assert!(seen(&with).flip < seen(&without).flip - 0.02);
 }
