@@ -2,8 +2,8 @@
 //!
 //! Both renderers weigh the same basis; the reference sums in f64, the renderer in f32.
 
-/// Band 0: display colour is `0.5 + C0 · sh0 + …`.
-pub(crate) const C0: f64 = 0.282_094_791_773_878_14;
+/// Band 0, 1 / (2 √π): display colour is `0.5 + C0 · sh0 + …`.
+pub const C0: f64 = 0.282_094_791_773_878_14;
 pub(crate) const C1: f64 = 0.488_602_511_9;
 pub(crate) const C2: [f64; 5] =
     [1.092_548_430_6, -1.092_548_430_6, 0.315_391_565_3, -1.092_548_430_6, 0.546_274_215_3];

@@ -7,11 +7,11 @@ use render_host::Backend;
 use serde_json::json;
 use trainer_host::{
     Scene, Stream,
-    encode::{Decisions, EncodeOptions, PacketReport, Protection, Report, TargetViews},
+    encode::{Decisions, EncodeOptions, Encoded, PacketReport, Protection, Report, TargetViews},
     evaluator::{self, Segment},
     stream::PacketMap,
     train::dataset,
-    utility::{ReferencePhotographs, References, Table, UtilityOptions, gain_cameras},
+    utility::{ReferencePhotographs, References, Table, Truncated, UtilityOptions, gain_cameras},
     viewpoint::{Framing, Ring},
 };
 
@@ -20,7 +20,7 @@ use crate::{
     figures::{audit_lines, counted, number},
     files,
     output::VerbOutput,
-    pipeline::{self, Quiet, Surroundings},
+    pipeline::{self, Loaded, Quiet, Surroundings},
 };
 
 /// Cameras that a target PSNR is measured from, where none are typed.
@@ -30,23 +30,7 @@ const TARGET_SIZE: (u32, u32) = (256, 256);
 
 /// Runs the verb.
 pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
-    let mut others: Vec<&Path> = vec![args.input.as_ref()];
-    others.extend(args.decisions.as_deref());
-    files::check_stream(&args.out, &others)?;
-    others.push(&args.out);
-    if args.utility {
-        if files::is_standard_output(&args.out) {
-            bail!("--utility: is written beside the stream, and nothing is beside standard output");
-        }
-        files::check(&pipeline::utility_path(&args.out))?;
-    }
-    if args.truncate.is_some() && args.codec.profile != ProfileName::Dgs1 {
-        bail!("--truncate: profile paper sends every level; profile dgs1 is allowed");
-    }
-    if let Some(path) = &args.decisions_out {
-        files::check(path)?;
-        files::check_apart(path, &others)?;
-    }
+    check_outputs(args)?;
     let photographs = args.photographs.as_deref().map(photographs).transpose().context("--photographs")?;
     let mut loaded = pipeline::import(&args.input, &args.scene)?;
     let mut warnings: Vec<String> = loaded.damage.take().into_iter().collect();
@@ -62,71 +46,14 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     let (target_views, cameras) = target_views.unzip();
     let options =
         EncodeOptions { device, target_views, ..pipeline::encode_options(&args.codec, Protection::NONE) };
-    let start = Instant::now();
-    let mut encoded = match &args.decisions {
-        Some(path) => {
-            let decisions = read_decisions(path)?;
-            check_decisions(&decisions, &loaded.scene).with_context(|| path.display().to_string())?;
-            pipeline::write(&loaded.scene, &decisions, quiet)?
-        }
-        None => pipeline::encode(&loaded.scene, &options, quiet)?,
-    };
-    let mut truncated = None;
-    if let Some(lambda) = args.truncate {
-        let found = pipeline::truncate(&loaded.scene, &options, &encoded, lambda, quiet)?;
-        encoded = found.0;
-        truncated = Some(found.1);
-    }
-    let seconds = start.elapsed().as_secs_f64();
-    let (stream, report) = (&encoded.stream, &encoded.report);
-    let packets = encoded.packet_report()?;
+    let coded = Coded::of(args, &loaded.scene, &options, quiet)?;
+    let stream = &coded.encoded.stream;
     if let Some(path) = &args.decisions_out {
-        files::write(path, serde_json::to_string(&encoded.decisions)?.as_bytes())?;
+        files::write(path, serde_json::to_string(&coded.encoded.decisions)?.as_bytes())?;
     }
     let bytes = stream.to_bytes()?;
     files::write(&args.out, &bytes)?;
-    let ledger = &report.ledger;
-    let mut text = format!(
-        "{} → {} ({} bytes at rest, {}, {:.2} s)\n{}",
-        loaded.name,
-        args.out.display(),
-        bytes.len(),
-        counted(loaded.scene.frames(), "frame"),
-        seconds,
-        report_table(report, &packets)
-    );
-    if let Some(t) = truncated {
-        text += &format!(
-            "  truncation at {}: {} of {} groups not sent, {:.0} bytes on the wire instead of {:.0}\n",
-            number(t.lambda),
-            t.dropped,
-            t.groups,
-            t.wire_after,
-            t.wire_before
-        );
-    }
-    if let Some(views) = report.reached.and_then(|reached| reached.views) {
-        text += &format!(
-            "  measured on {} from {}, pictures of {} × {}, of which the scene covers {:.1} %\n",
-            counted(views.frames, "frame"),
-            cameras.unwrap_or_default(),
-            views.width,
-            views.height,
-            100.0 * views.covered
-        );
-    }
-    for note in &loaded.scene.notes {
-        text += &format!("note: {note}\n");
-    }
-    let mut json = json!({
-        "name": loaded.name, "out": files::shown(&args.out), "file_bytes": bytes.len(), "seconds": seconds,
-        "ledger": ledger, "report": report_json(report), "packets": packets, "parts": ledger.parts(),
-        "notes": loaded.scene.notes,
-        "bits_per_gaussian": ledger.bits_per_gaussian(), "bytes_per_frame": ledger.bytes_per_frame(),
-    });
-    if let Some(truncated) = truncated {
-        json["truncated"] = json!(truncated);
-    }
+    let VerbOutput { mut text, mut json, .. } = said(args, &loaded, &coded, cameras, bytes.len())?;
     if args.table {
         let segments = evaluator::segments(&loaded.scene, stream, 2)?;
         text += &segment_table(&segments);
@@ -155,6 +82,110 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     }
     json["warnings"] = json!(warnings);
     Ok(VerbOutput { text, json, warnings, damaged })
+}
+
+/// Refuses before the work what could not be written, or what would be written over an input.
+fn check_outputs(args: &Encode) -> Result<()> {
+    let mut others: Vec<&Path> = vec![args.input.as_ref()];
+    others.extend(args.decisions.as_deref());
+    files::check_stream(&args.out, &others)?;
+    others.push(&args.out);
+    if args.utility {
+        if files::is_standard_output(&args.out) {
+            bail!("--utility: is written beside the stream, and nothing is beside standard output");
+        }
+        files::check(&pipeline::utility_path(&args.out))?;
+    }
+    if args.truncate.is_some() && args.codec.profile != ProfileName::Dgs1 {
+        bail!("--truncate: profile paper sends every level; profile dgs1 is allowed");
+    }
+    if let Some(path) = &args.decisions_out {
+        files::check(path)?;
+        files::check_apart(path, &others)?;
+    }
+    Ok(())
+}
+
+/// A scene as a stream, and how it became one.
+struct Coded {
+    encoded: Encoded,
+    truncated: Option<Truncated>,
+    seconds: f64,
+}
+
+impl Coded {
+    /// By the decisions of a file where one is named, else by `options`.
+    fn of(args: &Encode, scene: &Scene, options: &EncodeOptions, quiet: Quiet) -> Result<Self> {
+        let start = Instant::now();
+        let mut encoded = match &args.decisions {
+            Some(path) => {
+                let decisions = read_decisions(path)?;
+                check_decisions(&decisions, scene).with_context(|| path.display().to_string())?;
+                pipeline::write(scene, &decisions, quiet)?
+            }
+            None => pipeline::encode(scene, options, quiet)?,
+        };
+        let mut truncated = None;
+        if let Some(lambda) = args.truncate {
+            let found = pipeline::truncate(scene, options, &encoded, lambda, quiet)?;
+            encoded = found.0;
+            truncated = Some(found.1);
+        }
+        Ok(Self { encoded, truncated, seconds: start.elapsed().as_secs_f64() })
+    }
+}
+
+/// What the verb says of a stream of `file_bytes` bytes.
+fn said(
+    args: &Encode,
+    loaded: &Loaded,
+    Coded { encoded, truncated, seconds }: &Coded,
+    cameras: Option<String>,
+    file_bytes: usize,
+) -> Result<VerbOutput> {
+    let report = &encoded.report;
+    let packets = encoded.packet_report()?;
+    let ledger = &report.ledger;
+    let mut text = format!(
+        "{} → {} ({file_bytes} bytes at rest, {}, {seconds:.2} s)\n{}",
+        loaded.name,
+        args.out.display(),
+        counted(loaded.scene.frames(), "frame"),
+        report_table(report, &packets)
+    );
+    if let Some(t) = truncated {
+        text += &format!(
+            "  truncation at {}: {} of {} groups not sent, {:.0} bytes on the wire instead of {:.0}\n",
+            number(t.lambda),
+            t.dropped,
+            t.groups,
+            t.wire_after,
+            t.wire_before
+        );
+    }
+    if let Some(views) = report.reached.and_then(|reached| reached.views) {
+        text += &format!(
+            "  measured on {} from {}, pictures of {} × {}, of which the scene covers {:.1} %\n",
+            counted(views.frames, "frame"),
+            cameras.unwrap_or_default(),
+            views.width,
+            views.height,
+            100.0 * views.covered
+        );
+    }
+    for note in &loaded.scene.notes {
+        text += &format!("note: {note}\n");
+    }
+    let mut json = json!({
+        "name": loaded.name, "out": files::shown(&args.out), "file_bytes": file_bytes, "seconds": seconds,
+        "ledger": ledger, "report": report_json(report), "packets": packets, "parts": ledger.parts(),
+        "notes": loaded.scene.notes,
+        "bits_per_gaussian": ledger.bits_per_gaussian(), "bytes_per_frame": ledger.bytes_per_frame(),
+    });
+    if let Some(truncated) = truncated {
+        json["truncated"] = json!(truncated);
+    }
+    Ok(VerbOutput { text, json, ..VerbOutput::default() })
 }
 
 /// Where the target PSNR is measured, if there is one, and what that is for people.

@@ -257,49 +257,8 @@ fn finish(
     let bytes = written.stream.to_bytes()?;
     files::write(&folder.stream, &bytes)?;
 
-    let decoded = decoded(&written)?;
-    let (reduced, of_test) = (trained.reduced, trained.reduced * dataset.test_scale);
+    let figures = measured(dataset, trained, &decoded(&written)?, network, stop, quiet)?;
     let plain = trained.options.background;
-    let other = plain.map(|v| 1.0 - v);
-    let mut figures: Vec<Figure> = Vec::new();
-    let measuring = Progress::new("measure the result", quiet.0);
-    let mut measure = |what: &str, scene: &dyn DynamicScene, background: [f32; 3]| -> Result<()> {
-        stop.leave(ENCODED);
-        measuring.stage(&format!("measure {what}"), 0.1 + 0.2 * figures.len() as f64);
-        if !dataset.test.is_empty() {
-            let found = train::evaluate(scene, &dataset.test, of_test, background)?;
-            let seen = train::perceptual(scene, &dataset.test, of_test, background, network)?;
-            figures.push(Figure { what: what.to_owned(), found, seen: Some(seen) });
-        }
-        Ok(())
-    };
-    let shown = trained.shown();
-    measure("test views, as trained", &shown, plain)?;
-    measure("test views, as decoded from scene.dgs", &decoded, plain)?;
-    if dataset.has_alpha {
-        measure("test views, as trained, opposite background", &shown, other)?;
-    }
-    // A window has the size that a person gives it.
-    for (what, reduced) in [
-        ("at half the size", 2 * of_test),
-        ("at twice the size", if of_test.is_multiple_of(2) { of_test / 2 } else { 0 }),
-    ] {
-        if is_size(&dataset.test, reduced) {
-            stop.leave(ENCODED);
-            let what = format!("test views, as decoded, {what}");
-            measuring.stage(&format!("measure {what}"), 0.8);
-            let found = train::evaluate(&decoded, &dataset.test, reduced, plain)?;
-            figures.push(Figure { what, found, seen: None });
-        }
-    }
-    let seen = dataset.train.sample(dataset.test.photographs().len().max(GLANCE_VIEWS));
-    figures.push(Figure {
-        what: training_views(seen.photographs().len(), dataset.train.photographs().len()),
-        found: train::evaluate(&shown, &seen, reduced, plain)?,
-        seen: None,
-    });
-
-    drop(measuring);
     let audits = if args.utility {
         stop.leave_at_once(ENCODED);
         let (audits, table) = utility::audits(&written.stream, dataset, plain, &folder.utility, quiet)?;
@@ -338,6 +297,59 @@ fn finish(
     }
     output.json["utility"] = json!(audits);
     Ok(output)
+}
+
+/// How close the pictures of what was `trained` are to photographs, before and after encoding, at several
+/// sizes; between two of them a person may leave.
+fn measured(
+    dataset: &Dataset,
+    trained: &Trained,
+    decoded: &dyn DynamicScene,
+    network: Option<&Lpips>,
+    stop: &Interruption,
+    quiet: Quiet,
+) -> Result<Vec<Figure>> {
+    let (reduced, of_test) = (trained.reduced, trained.reduced * dataset.test_scale);
+    let plain = trained.options.background;
+    let other = plain.map(|v| 1.0 - v);
+    let mut figures: Vec<Figure> = Vec::new();
+    let measuring = Progress::new("measure the result", quiet.0);
+    let mut measure = |what: &str, scene: &dyn DynamicScene, background: [f32; 3]| -> Result<()> {
+        stop.leave(ENCODED);
+        measuring.stage(&format!("measure {what}"), 0.1 + 0.2 * figures.len() as f64);
+        if !dataset.test.is_empty() {
+            let found = train::evaluate(scene, &dataset.test, of_test, background)?;
+            let seen = train::perceptual(scene, &dataset.test, of_test, background, network)?;
+            figures.push(Figure { what: what.to_owned(), found, seen: Some(seen) });
+        }
+        Ok(())
+    };
+    let shown = trained.shown();
+    measure("test views, as trained", &shown, plain)?;
+    measure("test views, as decoded from scene.dgs", decoded, plain)?;
+    if dataset.has_alpha {
+        measure("test views, as trained, opposite background", &shown, other)?;
+    }
+    // A window has the size that a person gives it.
+    for (what, reduced) in [
+        ("at half the size", 2 * of_test),
+        ("at twice the size", if of_test.is_multiple_of(2) { of_test / 2 } else { 0 }),
+    ] {
+        if is_size(&dataset.test, reduced) {
+            stop.leave(ENCODED);
+            let what = format!("test views, as decoded, {what}");
+            measuring.stage(&format!("measure {what}"), 0.8);
+            let found = train::evaluate(decoded, &dataset.test, reduced, plain)?;
+            figures.push(Figure { what, found, seen: None });
+        }
+    }
+    let seen = dataset.train.sample(dataset.test.photographs().len().max(GLANCE_VIEWS));
+    figures.push(Figure {
+        what: training_views(seen.photographs().len(), dataset.train.photographs().len()),
+        found: train::evaluate(&shown, &seen, reduced, plain)?,
+        seen: None,
+    });
+    Ok(figures)
 }
 
 /// The title of the figure of `count` training views of `all`.

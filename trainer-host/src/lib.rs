@@ -29,7 +29,9 @@ pub mod train;
 pub mod utility;
 
 pub use encode::{cluster, evaluator, factorise, sensitivity};
-pub use scene::{Attributes, Epoch, Instant, Scene, SceneError, Track, edit, export, import, viewpoint};
+pub use scene::{
+    Attributes, Epoch, Instant, Scene, SceneError, Track, activation, edit, export, import, viewpoint,
+};
 pub use stream::Stream;
 
 /// Compiles the examples of the README.

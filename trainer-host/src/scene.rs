@@ -8,6 +8,7 @@
 //! Domains: positions in scene units, natural-log scales, unit wxyz quaternions, opacity as a
 //! logit, colour as spherical-harmonic coefficients. World: right-handed; importers convert.
 
+pub mod activation;
 pub mod edit;
 pub mod export;
 pub(crate) mod footprint_name;
@@ -248,7 +249,7 @@ impl Epoch {
             position: a.positions.frame(t, n)[i],
             scale: a.log_scales.frame(t, n)[i].map(f32::exp),
             rotation: a.rotations.frame(t, n)[i],
-            opacity: 1.0 / (1.0 + (-a.opacity_logits.frame(t, n)[i]).exp()),
+            opacity: activation::sigmoid(a.opacity_logits.frame(t, n)[i]),
             sh0: a.sh0.frame(t, n)[i],
         }
     }

@@ -1,13 +1,12 @@
 //! Compares the Gaussians themselves, where row by row they are the same ones.
 
 use codec_core::Gaussian;
+use render_host::harmonics;
 use serde::Serialize;
 use trainer_host::Instant;
 
 /// Rows are the same Gaussians if half of them have moved by less than this share of the scene's radius.
 const SAME: f64 = 0.01;
-/// The band-0 harmonic: display colour is `0.5 + SH_C0 · sh0`.
-const SH_C0: f64 = 0.282_094_791_773_878_14;
 
 /// How far two frames are apart, attribute by attribute.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -60,7 +59,7 @@ pub(super) fn differences(
         each("scale", "natural log", &|a, b| distance(&a.scale.map(log), &b.scale.map(log))),
         each("rotation", "degrees", &|a, b| angle(&a.rotation, &b.rotation)),
         each("opacity", "0 to 1", &|a, b| f64::from((a.opacity - b.opacity).abs())),
-        each("colour", "0 to 1", &|a, b| SH_C0 * distance(&a.sh0, &b.sh0)),
+        each("colour", "0 to 1", &|a, b| harmonics::C0 * distance(&a.sh0, &b.sh0)),
     ];
     if a.sh_degree == b.sh_degree && a.sh_degree.rest_len() > 0 {
         let rest = a.sh_degree.rest_len();

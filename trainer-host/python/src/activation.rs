@@ -1,7 +1,11 @@
 //! Says in which domain scales and opacities are given.
 
 use pyo3::prelude::*;
-use trainer_host::{scene::LOG_SCALE_RANGE, scene::OPACITY_LOGIT_LIMIT, stream::decoded};
+use trainer_host::{
+    activation::sigmoid,
+    scene::{LOG_SCALE_RANGE, OPACITY_LOGIT_LIMIT},
+    stream::decoded,
+};
 
 use crate::error::refused;
 
@@ -31,7 +35,7 @@ impl Activation {
 
     /// An opacity for a renderer.
     pub fn to_linear_opacity(self, opacity: f32) -> f32 {
-        if self == Self::Log { 1.0 / (1.0 + (-opacity).exp()) } else { opacity }
+        if self == Self::Log { sigmoid(opacity) } else { opacity }
     }
 
     /// A scale of a scene.
@@ -51,7 +55,7 @@ impl Activation {
 
     /// The logit of an opacity of a scene in this domain.
     pub fn of_logit(self, logit: f32) -> f32 {
-        if self == Self::Log { logit } else { 1.0 / (1.0 + (-logit).exp()) }
+        if self == Self::Log { logit } else { sigmoid(logit) }
     }
 
     /// A decoded scale in this domain.

@@ -233,6 +233,7 @@ mod tests {
 
     use super::*;
     use crate::{
+        activation::sigmoid,
         encode::{Decisions, EncodeOptions, QuantiserSteps, encode, factorise::rotation_matrix},
         import::{
             Limits,
@@ -265,7 +266,7 @@ mod tests {
             position: a.positions.frame(0, n)[i],
             rotation: a.rotations.frame(0, n)[i],
             log_scale: a.log_scales.frame(0, n)[i],
-            opacity: 1.0 / (1.0 + (-a.opacity_logits.frame(0, n)[i]).exp()),
+            opacity: sigmoid(a.opacity_logits.frame(0, n)[i]),
             sh0: a.sh0.frame(0, n)[i],
         }
     }

@@ -147,7 +147,10 @@ mod tests {
     use render_host::Renderer;
 
     use super::*;
-    use crate::scene::{Attributes, Epoch, Track};
+    use crate::scene::{
+        Attributes, Epoch, Track,
+        activation::{logit, sigmoid},
+    };
 
     /// A few Gaussians apart from each other, and one behind the others' backs that nobody sees much of.
     fn scene(change: impl Fn(&mut Attributes)) -> Scene {
@@ -216,9 +219,8 @@ mod tests {
                 change(
                     &plain,
                     &scene(|a| {
-                        let logit = &mut frame(&mut a.opacity_logits)[i];
-                        let opacity = 1.0 / (1.0 + (-*logit).exp()) + by;
-                        *logit = (opacity / (1.0 - opacity)).ln();
+                        let value = &mut frame(&mut a.opacity_logits)[i];
+                        *value = logit(sigmoid(*value) + by);
                     }),
                     by.into(),
                     pictures,

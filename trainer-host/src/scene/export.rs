@@ -15,16 +15,11 @@ pub mod spz;
 
 pub use file_format::FileFormat;
 
-use super::import::snapshot::SH_C0;
+use super::activation::{SH_C0, sigmoid};
 
 /// Display colour, 0 to 1 for what a screen shows, of a band-0 coefficient.
 fn display_colour(sh0: f32) -> f32 {
     0.5 + SH_C0 * sh0
-}
-
-/// Opacity, 0 to 1, of a logit.
-fn opacity(logit: f32) -> f32 {
-    1.0 / (1.0 + (-logit).exp())
 }
 
 /// 0 to 1 as a byte.

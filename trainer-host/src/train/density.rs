@@ -7,12 +7,13 @@ use render_host::adjoint::{DensityStatistics, SplatGradient};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    gaussians::{TrainedGaussians, sigmoid},
+    gaussians::TrainedGaussians,
     options::DensityControl,
     rotation::{dot, matrix},
     start::Extent,
     views::FreeSpace,
 };
+use crate::scene::activation::{logit, sigmoid};
 
 /// Gaussians fainter than this logit (1.5 %) are removed.
 const FAINT: f32 = -4.2;
@@ -161,7 +162,7 @@ fn split(gaussians: &mut TrainedGaussians, parent: usize, child: usize) {
 fn share(gaussians: &mut TrainedGaussians, parent: usize, child: usize) {
     let opacity = gaussians.opacity(parent);
     let each = (1.0 - (1.0 - opacity).max(1e-4).sqrt()).clamp(1e-3, 0.999);
-    let logit = (each / (1.0 - each)).ln();
+    let logit = logit(each);
     gaussians.opacity.item_mut(parent)[0] = logit;
     gaussians.opacity.item_mut(child)[0] = logit;
 }

@@ -9,7 +9,10 @@ use super::{
     motion::{FOLLOWED, PosedGradient, Skinned},
     parameter::{AdamStep, Parameter},
 };
-use crate::scene::Instant;
+use crate::scene::{
+    Instant,
+    activation::{self, sigmoid},
+};
 
 /// Gaussians that one task poses.
 const CHUNK: usize = 1024;
@@ -63,10 +66,7 @@ impl TrainedGaussians {
         let gaussians = &instant.gaussians;
         let count = gaussians.len();
         let floor = |v: f32| v.max(1e-12).ln();
-        let logit = |o: f32| {
-            let o = o.clamp(1e-4, 1.0 - 1e-4);
-            (o / (1.0 - o)).ln()
-        };
+        let logit = |o: f32| activation::logit(o.clamp(1e-4, 1.0 - 1e-4));
         let (width, given) = (degree.rest_len(), instant.sh_degree.rest_len());
         let mut sh_rest = vec![0.0; width * count];
         if width > 0 && given > 0 {
@@ -249,8 +249,4 @@ impl TrainedGaussians {
         let widths = [3, 3, 4, 1, 3, degree.rest_len(), FOLLOWED];
         self.parameters().iter().zip(widths).all(|(part, width)| part.is_sound(width, count))
     }
-}
-
-pub(super) fn sigmoid(logit: f32) -> f32 {
-    1.0 / (1.0 + (-logit).exp())
 }

@@ -13,10 +13,8 @@ use super::{
     options::TrainOptions,
     views::{ColouredPoint, Dataset, PosedPhotograph, Start},
 };
-use crate::scene::{Instant, import::nearest::Tree};
+use crate::scene::{Instant, activation::SH_C0, import::nearest::Tree};
 
-/// Value of the first harmonic: colour is `0.5 + SH0 · sh0`.
-const SH0: f32 = 0.282_094_79;
 /// Cells of the visual hull along each side of its cube.
 const HULL_CELLS: usize = 96;
 /// Views of the visual hull are at most this far in time from the canonical instant.
@@ -201,7 +199,7 @@ fn of_points(points: &[ColouredPoint], extent: &Extent) -> Instant {
             scale: [scale; 3],
             rotation: [1.0, 0.0, 0.0, 0.0],
             opacity: OPACITY,
-            sh0: point.colour.map(|c| (c - 0.5) / SH0),
+            sh0: point.colour.map(|c| (c - 0.5) / SH_C0),
         }
     });
     Instant { gaussians: gaussians.collect(), sh_rest: Vec::new(), sh_degree: ShDegree::ZERO }

@@ -14,7 +14,7 @@ pub const LEVEL_COLOURS: [[f32; 3]; LEVELS + 1] =
     [[0.80, 0.27, 0.13], [0.95, 0.64, 0.16], [0.90, 0.88, 0.35], [0.25, 0.66, 0.70], [0.22, 0.38, 0.75]];
 
 /// Display colour per unit of band 0.
-pub(super) const SH0: f32 = 0.282_094_79;
+pub(super) const SH0: f32 = render_host::harmonics::C0 as f32;
 /// How long a block stays bright after a level has come, seconds.
 const BRIGHT_S: f64 = 1.0;
 /// Colours of a block that has just gained a level, and of one that has not for long.

@@ -3,6 +3,7 @@
 use anyhow::Result;
 use codec_core::Gaussian;
 use render_host::{Camera, Image, counterfactual::States};
+use trainer_host::activation::{SH_C0, sigmoid};
 
 /// Groups laid out as `cluster · levels + level`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,8 +109,8 @@ pub(super) fn cloud(kind: CloudShape, n: usize) -> Cloud {
         };
         let q = [0; 4].map(|_| r.normal());
         let length = q.iter().map(|v| v * v).sum::<f32>().sqrt();
-        let opacity = 1.0 / (1.0 + (-(bias + 1.5 * r.normal())).exp());
-        let sh0 = colour.map(|c| (c - 0.5) / 0.282_094_8);
+        let opacity = sigmoid(bias + 1.5 * r.normal());
+        let sh0 = colour.map(|c| (c - 0.5) / SH_C0);
         let level = usize::from(r.unit() < 0.5);
         let gaussian = Gaussian { position, scale, rotation: q.map(|v| v / length), opacity, sh0 };
         (gaussian, LATTICE.group(cluster, level) as u32)

@@ -2,6 +2,7 @@
 
 use codec_core::{Gaussian, ShDegree};
 use render_host::{Camera, Intrinsics, Settings};
+use trainer_host::activation::sigmoid;
 
 use super::{
     StressCase,
@@ -146,14 +147,13 @@ fn opacities(out: &mut Vec<StressCase>) {
         skipped: Some(skipped),
         ..small(family, name, Gaussian { opacity, ..ball() })
     };
-    let logistic = |logit: f32| 1.0 / (1.0 + (-logit).exp());
     out.push(of("0", 0.0, 1));
     out.push(of("-0", -0.0, 1));
     out.push(of("1", 1.0, 0));
-    out.push(of("logit -infinity", logistic(f32::NEG_INFINITY), 1));
-    out.push(of("logit +infinity", logistic(f32::INFINITY), 0));
-    out.push(of("logit -88", logistic(-88.0), 1));
-    out.push(of("logit 88", logistic(88.0), 0));
+    out.push(of("logit -infinity", sigmoid(f32::NEG_INFINITY), 1));
+    out.push(of("logit +infinity", sigmoid(f32::INFINITY), 0));
+    out.push(of("logit -88", sigmoid(-88.0), 1));
+    out.push(of("logit 88", sigmoid(88.0), 0));
     out.push(of("above 1", 7.0, 0));
     out.push(of("below 0", -1.0, 1));
     out.push(of("next below 1", 1.0 - f32::EPSILON / 2.0, 0));

@@ -7,7 +7,7 @@ use codec_core::internals::{
     wire::manifest::Quant,
 };
 
-use crate::scene::Epoch;
+use crate::scene::{Epoch, activation::sigmoid};
 
 /// Finest indices of a cluster: per class and component, one per Gaussian.
 pub(in crate::encode) type Indices = [Vec<Vec<i32>>; Class::COUNT];
@@ -23,7 +23,7 @@ pub(in crate::encode) fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, 
             Class::Position => p[i][component] - origin[component],
             Class::Scale => s[i][component],
             Class::Rotation => mrp_from_quat(q[i])[component],
-            Class::Opacity => 1.0 / (1.0 + (-o[i]).exp()),
+            Class::Opacity => sigmoid(o[i]),
             Class::Sh0 => c[i][component],
             Class::Sh1 => a.sh_rest[i * rest + component],
             Class::Sh2 => a.sh_rest[i * rest + 9 + component],

@@ -29,7 +29,7 @@ use super::{
     rate_estimate::{RateEstimate, dot},
     track::{self, Chosen, Member},
 };
-use crate::scene::Epoch;
+use crate::scene::{Epoch, activation::sigmoid};
 
 /// What a cluster's track leaves per moving class: one trajectory per Gaussian and component, none where
 /// nothing is left.
@@ -255,7 +255,7 @@ fn leftover(
             for (d, &still) in still.iter().enumerate().take(class.components()) {
                 let value = |t: usize| match class {
                     Class::Scale => a.log_scales.frame(t, n)[g][d],
-                    Class::Opacity => 1.0 / (1.0 + (-a.opacity_logits.frame(t, n)[g]).exp()),
+                    Class::Opacity => sigmoid(a.opacity_logits.frame(t, n)[g]),
                     _ => a.sh0.frame(t, n)[g][d],
                 };
                 let row = member.frames.clone().map(|t| f64::from(value(t) - still)).collect();

@@ -9,7 +9,7 @@ use crate::{
         decisions::PaperEpochDecisions,
         factorise::{fit_pose, mean_turn, temporal_basis},
     },
-    scene::Epoch,
+    scene::{Epoch, activation::sigmoid},
 };
 
 /// One epoch, quantised.
@@ -100,114 +100,149 @@ pub(super) fn plan(
         .into_par_iter()
         .zip(&members)
         .map(|((transforms, left), members)| {
-            symbols(epoch, members, &quant, &index, transforms, &left, &basis, rank)
+            let mut symbols = ClusterSymbols::new(epoch, members, &quant, rank);
+            symbols.positions(&index);
+            symbols.motion(&left, &basis);
+            symbols.attributes();
+            symbols.harmonics();
+            Cell { transforms, levels: symbols.levels, saturated: symbols.saturated }
         })
         .collect();
     Ok(EpochPlan { first_frame, frames, origin, quant, basis, rank, members, cells })
 }
 
-/// Symbols of one cluster in the order of [`layout`].
-#[allow(clippy::too_many_arguments)]
-fn symbols(
-    epoch: &Epoch,
-    members: &[u32],
-    quant: &Quant,
-    index: &(dyn Fn(usize, usize) -> i16 + Sync),
-    transforms: Vec<f32>,
-    left: &[Vec<f64>],
-    basis: &[f32],
+/// A cluster whose symbols are chosen, in the order of [`layout`].
+struct ClusterSymbols<'a> {
+    epoch: &'a Epoch,
+    members: &'a [u32],
+    quant: &'a Quant,
     rank: usize,
-) -> Cell {
-    let (count, frames, a) = (epoch.count(), epoch.frames(), epoch.attributes());
-    let n = members.len();
-    let mut saturated = 0u64;
-    let mut quantise = |value: f64, step: f32| -> i16 {
+    levels: [Vec<i16>; Level::COUNT],
+    /// Values beyond what a symbol holds.
+    saturated: u64,
+}
+
+impl<'a> ClusterSymbols<'a> {
+    /// Of zeros.
+    fn new(epoch: &'a Epoch, members: &'a [u32], quant: &'a Quant, rank: usize) -> Self {
+        let rest = epoch.attributes().sh_degree.rest_len();
+        let levels = layout::symbols(members.len(), epoch.frames(), rank, rest).map(|len| vec![0; len]);
+        Self { epoch, members, quant, rank, levels, saturated: 0 }
+    }
+
+    /// The nearest symbol.
+    fn quantise(&mut self, value: f64, step: f32) -> i16 {
         let q = (value / f64::from(step)).round();
         if q.abs() > 32_767.0 {
-            saturated += 1;
+            self.saturated += 1;
         }
         q.clamp(-32_768.0, 32_767.0) as i16
-    };
-    let rest = a.sh_degree.rest_len();
-    let sizes = layout::symbols(n, frames, rank, rest);
-    let mut levels: [Vec<i16>; Level::COUNT] = sizes.map(|len| vec![0; len]);
-    let attribute = |t: usize, i: usize, c: usize| -> f64 {
-        let g = members[i] as usize;
+    }
+
+    /// Canonical positions: `index` says those of each Gaussian and axis.
+    fn positions(&mut self, index: &(dyn Fn(usize, usize) -> i16 + Sync)) {
+        let n = self.members.len();
+        for (i, &g) in self.members.iter().enumerate() {
+            for d in 0..3 {
+                self.levels[0][d * n + i] = index(g as usize, d);
+            }
+        }
+    }
+
+    /// What the cluster's transform leaves of each member's motion, axis by axis: coefficients of `basis`, then
+    /// residuals per frame.
+    fn motion(&mut self, left: &[Vec<f64>], basis: &[f32]) {
+        let (n, frames, rank) = (self.members.len(), self.epoch.frames(), self.rank);
+        let motion = self.quant.motion[Class::Position.index()];
+        let steps = [1, 2, 3].map(|l| motion.step(Level::ALL[l]));
+        for (row, left) in left.iter().enumerate() {
+            let (i, d) = (row / 3, row % 3);
+            let mut after = left.clone();
+            for r in 0..rank {
+                let q: f64 = (0..frames).map(|t| left[t] * f64::from(basis[t * rank + r])).sum();
+                let symbol = self.quantise(q, steps[0]);
+                self.levels[1][(3 * r + d) * n + i] = symbol;
+                let sent = f64::from(f32::from(symbol) * steps[0]);
+                (0..frames).for_each(|t| after[t] -= sent * f64::from(basis[t * rank + r]));
+            }
+            for (t, value) in after.iter().enumerate() {
+                let at = (t * (3 + layout::ATTRIBUTES) + d) * n + i;
+                let coarse = self.quantise(*value, steps[1]);
+                self.levels[2][at] = coarse;
+                self.levels[3][at] = self.quantise(value - f64::from(f32::from(coarse) * steps[1]), steps[2]);
+            }
+        }
+    }
+
+    /// Value of attribute `c` of member `i` at frame `t`.
+    fn attribute(&self, t: usize, i: usize, c: usize) -> f64 {
+        let (count, a) = (self.epoch.count(), self.epoch.attributes());
+        let g = self.members[i] as usize;
         f64::from(match c {
             0..=2 => a.log_scales.frame(t, count)[g][c],
             3..=6 => a.rotations.frame(t, count)[g][c - 3],
-            7 => 1.0 / (1.0 + (-a.opacity_logits.frame(t, count)[g]).exp()),
+            7 => sigmoid(a.opacity_logits.frame(t, count)[g]),
             _ => a.sh0.frame(t, count)[g][c - 8],
         })
-    };
-    let class = |c: usize| match c {
-        0..=2 => Class::Scale,
-        3..=6 => Class::Rotation,
-        7 => Class::Opacity,
-        _ => Class::Sh0,
-    };
-    for (i, &g) in members.iter().enumerate() {
-        for d in 0..3 {
-            levels[0][d * n + i] = index(g as usize, d);
-        }
     }
-    let motion = quant.motion[Class::Position.index()];
-    let steps = [1, 2, 3].map(|l| motion.step(Level::ALL[l]));
-    for (row, left) in left.iter().enumerate() {
-        let (i, d) = (row / 3, row % 3);
-        let mut after = left.clone();
-        for r in 0..rank {
-            let q: f64 = (0..frames).map(|t| left[t] * f64::from(basis[t * rank + r])).sum();
-            let symbol = quantise(q, steps[0]);
-            levels[1][(3 * r + d) * n + i] = symbol;
-            let sent = f64::from(f32::from(symbol) * steps[0]);
-            (0..frames).for_each(|t| after[t] -= sent * f64::from(basis[t * rank + r]));
-        }
-        for (t, value) in after.iter().enumerate() {
-            let at = (t * (3 + layout::ATTRIBUTES) + d) * n + i;
-            let coarse = quantise(*value, steps[1]);
-            levels[2][at] = coarse;
-            levels[3][at] = quantise(value - f64::from(f32::from(coarse) * steps[1]), steps[2]);
-        }
-    }
-    let refinement1 = layout::refinement1(n, rank);
-    for c in 0..layout::ATTRIBUTES {
-        let quantiser = quant.canonical[class(c).index()];
-        let steps = Level::ALL.map(|l| quantiser.step(l));
-        for i in 0..n {
-            let base = quantise(attribute(0, i, c), steps[0]);
-            levels[0][(3 + c) * n + i] = base;
-            let base = f64::from(f32::from(base) * steps[0]);
-            // Quaternion signs may flip between frames; refinements follow the base's.
-            let start = attribute(0, i, 3) * attribute(0, i, 3);
-            for t in 0..frames {
-                let mut value = attribute(t, i, c);
-                if (3..=6).contains(&c) && start >= 0.0 {
-                    let dot: f64 = (3..=6).map(|k| attribute(0, i, k) * attribute(t, i, k)).sum();
-                    value *= if dot < 0.0 { -1.0 } else { 1.0 };
-                }
-                let mut rest = value - base;
-                for level in 1..=3 {
-                    let symbol = quantise(rest, steps[level]);
-                    rest -= f64::from(f32::from(symbol) * steps[level]);
-                    let at = match level {
-                        1 => refinement1 + (t * layout::ATTRIBUTES + c) * n + i,
-                        _ => (t * (3 + layout::ATTRIBUTES) + 3 + c) * n + i,
-                    };
-                    levels[level][at] = symbol;
+
+    /// All attributes but positions and higher bands: the first frame's, then what each frame differs by.
+    fn attributes(&mut self) {
+        let (n, frames) = (self.members.len(), self.epoch.frames());
+        let refinement1 = layout::refinement1(n, self.rank);
+        for c in 0..layout::ATTRIBUTES {
+            let quantiser = self.quant.canonical[class(c).index()];
+            let steps = Level::ALL.map(|l| quantiser.step(l));
+            for i in 0..n {
+                let base = self.quantise(self.attribute(0, i, c), steps[0]);
+                self.levels[0][(3 + c) * n + i] = base;
+                let base = f64::from(f32::from(base) * steps[0]);
+                for t in 0..frames {
+                    let mut value = self.attribute(t, i, c);
+                    // Quaternion signs may flip between frames; refinements follow the base's.
+                    if (3..=6).contains(&c) {
+                        let dot: f64 =
+                            (3..=6).map(|k| self.attribute(0, i, k) * self.attribute(t, i, k)).sum();
+                        value *= if dot < 0.0 { -1.0 } else { 1.0 };
+                    }
+                    let mut rest = value - base;
+                    for level in 1..=3 {
+                        let symbol = self.quantise(rest, steps[level]);
+                        rest -= f64::from(f32::from(symbol) * steps[level]);
+                        let at = match level {
+                            1 => refinement1 + (t * layout::ATTRIBUTES + c) * n + i,
+                            _ => (t * (3 + layout::ATTRIBUTES) + 3 + c) * n + i,
+                        };
+                        self.levels[level][at] = symbol;
+                    }
                 }
             }
         }
     }
-    let step = quant.canonical[Class::Sh1.index()].step(Level::ALL[3]);
-    let offset = layout::rest(n, frames, rank);
-    for (i, &g) in members.iter().enumerate() {
-        for j in 0..rest {
-            let value = a.sh_rest[g as usize * rest + j];
-            levels[1][offset + j * n + i] = quantise(f64::from(value), step);
+
+    /// Higher bands, which do not change over time.
+    fn harmonics(&mut self) {
+        let (n, a) = (self.members.len(), self.epoch.attributes());
+        let rest = a.sh_degree.rest_len();
+        let step = self.quant.canonical[Class::Sh1.index()].step(Level::ALL[3]);
+        let offset = layout::rest(n, self.epoch.frames(), self.rank);
+        for (i, &g) in self.members.iter().enumerate() {
+            for j in 0..rest {
+                let value = a.sh_rest[g as usize * rest + j];
+                self.levels[1][offset + j * n + i] = self.quantise(f64::from(value), step);
+            }
         }
     }
-    Cell { transforms, levels, saturated }
+}
+
+/// The class of an attribute of [`layout`].
+fn class(attribute: usize) -> Class {
+    match attribute {
+        0..=2 => Class::Scale,
+        3..=6 => Class::Rotation,
+        7 => Class::Opacity,
+        _ => Class::Sh0,
+    }
 }
 
 /// The quantisation profile of an epoch; the manifest's check refuses more than 256 of them.

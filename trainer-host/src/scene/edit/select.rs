@@ -3,7 +3,10 @@
 use std::{cmp::Ordering, str::FromStr};
 
 use super::{EditError, edited};
-use crate::scene::{Attributes, Epoch, Scene, SceneError, Track};
+use crate::scene::{
+    Attributes, Epoch, Scene, SceneError, Track,
+    activation::{SH_C0, sigmoid},
+};
 
 /// A box along the axes, both corners included.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -105,12 +108,12 @@ impl Condition {
     /// Whether Gaussian `i` meets it at frame `t`.
     fn is_met(&self, epoch: &Epoch, t: usize, i: usize) -> bool {
         let (n, a) = (epoch.count(), epoch.attributes());
-        let colour = |channel: usize| 0.5 + 0.282_094_8 * a.sh0.frame(t, n)[i][channel];
+        let colour = |channel: usize| 0.5 + SH_C0 * a.sh0.frame(t, n)[i][channel];
         let value = match self.property {
             Property::X => a.positions.frame(t, n)[i][0],
             Property::Y => a.positions.frame(t, n)[i][1],
             Property::Z => a.positions.frame(t, n)[i][2],
-            Property::Opacity => opacity(a.opacity_logits.frame(t, n)[i]),
+            Property::Opacity => sigmoid(a.opacity_logits.frame(t, n)[i]),
             Property::Scale => a.log_scales.frame(t, n)[i].into_iter().fold(f32::MIN, f32::max).exp(),
             Property::Red => colour(0),
             Property::Green => colour(1),
@@ -119,10 +122,6 @@ impl Condition {
         let found = value.partial_cmp(&self.number);
         found == Some(self.order) || self.or_equal && found == Some(Ordering::Equal)
     }
-}
-
-fn opacity(logit: f32) -> f32 {
-    1.0 / (1.0 + (-logit).exp())
 }
 
 /// The Gaussians that are inside of `bounds` at any frame.

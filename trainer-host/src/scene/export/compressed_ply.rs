@@ -3,7 +3,7 @@
 //! Gaussians are put in Morton order, so that those of a chunk lie together and its ranges are short: rows
 //! are not those of the scene. What each number means is in `import::compressed_ply`.
 
-use super::{display_colour, morton_order, opacity};
+use super::{display_colour, morton_order, sigmoid};
 use crate::scene::{
     Attributes, Epoch,
     import::compressed_ply::{COLOURS, PLACES},
@@ -81,7 +81,7 @@ fn packed(a: &Attributes, t: usize, n: usize, i: usize, ranges: &[[f32; 3]; 6]) 
     let eleven_ten_eleven =
         |[x, y, z]: [f32; 3]| steps(x, 2047) << 21 | steps(y, 1023) << 11 | steps(z, 2047);
     let [r, g, b] = unit(2, colour);
-    let alpha = opacity(a.opacity_logits.frame(t, n)[i]);
+    let alpha = sigmoid(a.opacity_logits.frame(t, n)[i]);
     let rgba = steps(r, 255) << 24 | steps(g, 255) << 16 | steps(b, 255) << 8 | steps(alpha, 255);
     let rotation = quaternion(a.rotations.frame(t, n)[i]);
     [eleven_ten_eleven(unit(0, position)), rotation, eleven_ten_eleven(unit(1, scale)), rgba]

@@ -14,7 +14,7 @@ use ::fourdgs::{
     write_to_vec,
 };
 
-use super::{display_colour, opacity};
+use super::{display_colour, sigmoid};
 use crate::scene::{Epoch, Scene, Up};
 
 /// The format's finest steps.
@@ -124,7 +124,7 @@ fn push(set: &mut GaussianSet, epoch: &Epoch, i: usize, t: usize, end: usize, fi
     set.scales.extend(a.log_scales.frame(t, n)[i].map(f32::exp));
     set.rotations.extend([x, y, z, w]);
     set.colors.extend(a.sh0.frame(t, n)[i].map(|c| display_colour(c).clamp(0.0, 1.0)));
-    set.colors.push(opacity(a.opacity_logits.frame(t, n)[i]));
+    set.colors.push(sigmoid(a.opacity_logits.frame(t, n)[i]));
     set.motions.extend([0, 1, 2].map(speed));
     set.mu_t.push(start);
     set.sigma_t.push(f32::INFINITY);

@@ -5,7 +5,7 @@
 
 use serde_json::{Value, json};
 
-use super::{byte, display_colour, opacity};
+use super::{byte, display_colour, sigmoid};
 use crate::scene::Epoch;
 
 /// Name of the extension.
@@ -69,13 +69,13 @@ pub fn encode(epoch: &Epoch, t: usize) -> std::io::Result<Vec<u8>> {
     }
     attributes.insert("POSITION".to_owned(), json!(position));
     let colours: Vec<u8> =
-        (0..n).flat_map(|i| c[i].map(display_colour).into_iter().chain([opacity(o[i])]).map(byte)).collect();
+        (0..n).flat_map(|i| c[i].map(display_colour).into_iter().chain([sigmoid(o[i])]).map(byte)).collect();
     attributes.insert("COLOR_0".to_owned(), json!(buffer.add(n, "VEC4", UNSIGNED_BYTE, &colours)));
     let mut put =
         |name: String, accessor: usize| attributes.insert(format!("{EXTENSION}:{name}"), json!(accessor));
     put("ROTATION".into(), buffer.floats(n, "VEC4", q.iter().flat_map(|&[w, x, y, z]| [x, y, z, w])));
     put("SCALE".into(), buffer.floats(n, "VEC3", s.iter().flatten().map(|v| v.exp())));
-    put("OPACITY".into(), buffer.floats(n, "SCALAR", o.iter().copied().map(opacity)));
+    put("OPACITY".into(), buffer.floats(n, "SCALAR", o.iter().copied().map(sigmoid)));
     put("SH_DEGREE_0_COEF_0".into(), buffer.floats(n, "VEC3", c.iter().flatten().copied()));
     let rest = a.sh_degree.rest_len();
     for degree in 1..=usize::from(a.sh_degree.get()) {

@@ -15,7 +15,7 @@ use serde_json::json;
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
 use self::palette::{book, nearest, palette};
-use super::{byte, morton_order, opacity, smallest_three};
+use super::{byte, morton_order, sigmoid, smallest_three};
 use crate::scene::Epoch;
 
 /// Palette entries in a row of the plane of centroids.
@@ -86,7 +86,7 @@ pub fn encode(epoch: &Epoch, t: usize, antialiased: bool) -> io::Result<Vec<u8>>
     let colours = book(c.iter().flatten().copied());
     let pixel = |&i: &usize| {
         let [r, g, b] = c[i].map(|v| label(&colours, v));
-        [r, g, b, byte(opacity(o[i]))]
+        [r, g, b, byte(sigmoid(o[i]))]
     };
     plane("sh0.webp", order.iter().map(pixel).collect(), width)?;
 

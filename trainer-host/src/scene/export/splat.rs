@@ -3,7 +3,7 @@
 //! Positions and sizes are exact; colour and opacity are bytes, rotations bytes of each component.
 //! Harmonics above band 0 are left out: the format has none.
 
-use super::{byte, display_colour, opacity};
+use super::{byte, display_colour, sigmoid};
 use crate::scene::Epoch;
 
 /// Frame `t` of `epoch` as records. `t` must be below the epoch's frame count.
@@ -16,7 +16,7 @@ pub fn encode(epoch: &Epoch, t: usize) -> Vec<u8> {
         let floats = p[i].into_iter().chain(s[i].map(f32::exp));
         out.extend(floats.flat_map(f32::to_le_bytes));
         out.extend(c[i].map(|c| byte(display_colour(c))));
-        out.push(byte(opacity(o[i])));
+        out.push(byte(sigmoid(o[i])));
         // 128 is zero; one is cut to 255.
         out.extend(q[i].map(|v| (v * 128.0 + 128.0).round().clamp(0.0, 255.0) as u8));
     }

@@ -10,10 +10,8 @@ use super::{
     Limits,
     error::{Format, ImportError},
 };
+pub(crate) use crate::scene::activation::{SH_C0, logit};
 use crate::scene::{Attributes, Epoch, SceneError, Track};
-
-/// The band-0 harmonic: display colour is `0.5 + SH_C0 * sh0`.
-pub(crate) const SH_C0: f32 = 0.282_094_8;
 
 /// What one file held: an epoch of a single frame, and what a person should know about it.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,11 +27,6 @@ pub struct Snapshot {
 /// Band-0 coefficient of a display colour in 0..=1.
 pub(crate) fn sh0_of_colour(colour: f32) -> f32 {
     (colour - 0.5) / SH_C0
-}
-
-/// Logit of an opacity in 0..=1; the ends become infinite and are clamped by the epoch.
-pub(crate) fn logit(opacity: f32) -> f32 {
-    (opacity / (1.0 - opacity)).ln()
 }
 
 /// A unit quaternion from its three smaller components, `largest` naming the missing one by its

@@ -82,7 +82,7 @@ mod tests {
             for frame in 0..20 {
                 for g in scene.instant(frame).unwrap().gaussians {
                     assert!(g.position.iter().all(|v| v.abs() <= 2.05), "{kind:?}: {:?}", g.position);
-                    let colour = g.sh0.map(|c| 0.5 + 0.282_094_8 * c);
+                    let colour = g.sh0.map(|c| 0.5 + crate::scene::activation::SH_C0 * c);
                     assert!(colour.iter().all(|c| (-1e-5..=1.0 + 1e-5).contains(c)), "{kind:?}: {colour:?}");
                 }
             }

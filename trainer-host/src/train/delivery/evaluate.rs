@@ -1,6 +1,6 @@
 //! Measures what receivers see of a scene in given states: PSNR of every world, and of the complete one.
 
-use render_host::Settings;
+use render_host::{Settings, metric::mse};
 
 use super::{
     coded::{Coded, Moving, no_change},
@@ -111,10 +111,11 @@ pub(super) fn evaluate_coded(
         let errors = shared.squared_errors(camera, picture, &settings)?;
         worlds_db.iter_mut().zip(errors).for_each(|(sum, error)| *sum += share * psnr(error));
         let shared = SharedWorlds::new(moving, *frame, &prefixes)?;
-        let found = shared.measured(camera, &settings, |image| distortion(image, picture, 0.20))?;
-        of_prefixes.iter_mut().zip(found).for_each(|(sum, d)| *sum += share * d);
-        let errors = shared.squared_errors(camera, picture, &settings)?;
-        clean_db += share * errors.last().copied().map_or(0.0, psnr);
+        let found = shared.measured(camera, &settings, |image| {
+            Ok((distortion(image, picture, 0.20)?, mse(image, picture)?))
+        })?;
+        clean_db += share * found.last().map_or(0.0, |(_, error)| psnr(*error));
+        of_prefixes.iter_mut().zip(found).for_each(|(sum, (d, _))| *sum += share * d);
     }
     let wire_bytes = encoded.report.ledger.wire() as u64;
     let violations = monotone::violations(&of_prefixes, TOLERANCE);

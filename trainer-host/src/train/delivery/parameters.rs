@@ -11,7 +11,10 @@ use render_host::adjoint::SplatGradient;
 
 use crate::{
     encode::decisions::ProxyChange,
-    scene::{Attributes, Epoch, Scene, SceneError, Track},
+    scene::{
+        Attributes, Epoch, Scene, SceneError, Track,
+        activation::{logit, sigmoid},
+    },
 };
 
 /// Parameters of a Gaussian: centre 3, log-scale 3, turn 3 (radians), opacity logit, band 0 of colour 3.
@@ -252,8 +255,7 @@ impl Anchor {
         let turned = about * quat(decoded.rotation);
         out.rotation = [turned.w, turned.x, turned.y, turned.z];
         let opacity = decoded.opacity.clamp(1e-6, 1.0 - 1e-6);
-        let logit = (opacity / (1.0 - opacity)).ln() + change[OPACITY];
-        out.opacity = 1.0 / (1.0 + (-logit).exp());
+        out.opacity = sigmoid(logit(opacity) + change[OPACITY]);
         (0..3).for_each(|d| out.sh0[d] += change[COLOUR + d]);
         out
     }

@@ -17,7 +17,7 @@ use crate::{
         Decisions,
         decisions::{QuantiserDecision, Quantisers},
     },
-    scene::{Epoch, Scene},
+    scene::{Epoch, Scene, activation::sigmoid},
 };
 
 /// Quantised values of a Gaussian: position 3, log-scale 3, Rodrigues parameters 3, opacity 1, band 0 of
@@ -133,7 +133,7 @@ fn quantised(epoch: &Epoch, i: usize, values: &Values) -> Quantised {
     let turned = rotation * Quat::from_scaled_axis(glam::Vec3::new(values[6], values[7], values[8]));
     let mrp = mrp_from_quat([turned.w, turned.x, turned.y, turned.z]);
     let (p, c) = (a.positions.frame(0, n)[i], a.sh0.frame(0, n)[i]);
-    let opacity = 1.0 / (1.0 + (-a.opacity_logits.frame(0, n)[i] - values[9]).exp());
+    let opacity = sigmoid(a.opacity_logits.frame(0, n)[i] + values[9]);
     let parts = [
         [p[0] + offset.x, p[1] + offset.y, p[2] + offset.z],
         [0, 1, 2].map(|d| scale[d] + values[3 + d]),

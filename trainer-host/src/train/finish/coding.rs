@@ -16,9 +16,12 @@ use super::{
     },
     price::{self, Bits, Slopes},
 };
-use crate::encode::{
-    Decisions, EncodeError,
-    rounding::{CanonicalValues, Rounding},
+use crate::{
+    encode::{
+        Decisions, EncodeError,
+        rounding::{CanonicalValues, Rounding},
+    },
+    scene::activation::logit,
 };
 
 /// Gaussians that one task rounds.
@@ -104,7 +107,7 @@ impl Coding {
             out.rotation.item_mut(index).copy_from_slice(&rotation);
             out.log_scale.item_mut(index).copy_from_slice(&rounded.log_scale);
             let opacity = rounded.opacity.clamp(OPACITIES.0, OPACITIES.1);
-            out.opacity.item_mut(index)[0] = (opacity / (1.0 - opacity)).ln();
+            out.opacity.item_mut(index)[0] = logit(opacity);
             out.sh0.item_mut(index).copy_from_slice(&rounded.sh0);
         }
     }

@@ -132,6 +132,7 @@ fn by_parameters(
 mod tests {
     use super::*;
     use crate::{
+        activation::sigmoid,
         encode::{Decisions, EncodeOptions, encode},
         import::{
             Limits,
@@ -163,7 +164,7 @@ mod tests {
             position: [0.1, 0.2, 0.3],
             rotation: [0.5, 0.5, -0.5, 0.5],
             log_scale: [all[0], all[1], all[2]],
-            opacity: 1.0 / (1.0 + (-all[3]).exp()),
+            opacity: sigmoid(all[3]),
             sh0: [all[4], all[5], all[6]],
         };
         (values, all[7..].to_vec())

@@ -11,15 +11,13 @@ use fourdgs::{
     opcode,
     quantization::{Profile, SH_QUANT_HI, SH_QUANT_LO, dequantize_rotation, rct_inverse, sh_coefficient},
 };
-use trainer_host::{Epoch, Instant, Scene};
+use trainer_host::{Epoch, Instant, Scene, activation::SH_C0};
 
 use super::{
     coded::{Coded, Timer},
     lattice::morton_order,
 };
 
-/// The band-0 harmonic: linear colour is `0.5 + SH_C0 * sh0`.
-const SH_C0: f32 = 0.282_094_8;
 /// A lifetime, seconds, against which no clip here is long: opacity does not fade.
 const LIFETIME: f32 = 1e6;
 /// The format's default codec at its highest level. Its other one, zstd at 19, came out 2 to 5 % smaller on

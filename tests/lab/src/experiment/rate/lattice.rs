@@ -13,7 +13,7 @@ use codec_core::{
         math::{mrp_from_quat, normalised, quat_from_mrp},
     },
 };
-use trainer_host::{Epoch, Instant, Scene, encode::QuantiserSteps};
+use trainer_host::{Epoch, Instant, Scene, activation::sigmoid, encode::QuantiserSteps};
 
 /// Attributes, the unit of a model; each of the harmonic bands above 0 is one.
 pub const ATTRIBUTES: usize = 8;
@@ -90,7 +90,7 @@ impl Grids {
                         0 => a.positions.frame(t, n)[i][component] - origin[component],
                         1 => a.log_scales.frame(t, n)[i][component],
                         2 => mrp_from_quat(a.rotations.frame(t, n)[i])[component],
-                        3 => 1.0 / (1.0 + (-a.opacity_logits.frame(t, n)[i]).exp()),
+                        3 => sigmoid(a.opacity_logits.frame(t, n)[i]),
                         4 => a.sh0.frame(t, n)[i][component],
                         _ => a.sh_rest[i * rest + component],
                     };

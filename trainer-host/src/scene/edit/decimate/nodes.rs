@@ -5,7 +5,7 @@ use nalgebra::Matrix3;
 use super::shape::{self, Covariance, Seen};
 use crate::{
     encode::factorise::rotation_matrix,
-    scene::{Epoch, import::snapshot::SH_C0},
+    scene::{Epoch, activation::SH_C0},
 };
 
 /// Display colour per unit of band 0, and, root mean square over directions, per unit of any harmonic.
