@@ -172,8 +172,8 @@ fn masks_of_frames_say_which_pixels_count() {
     assert!(refusal(folder.path()).contains("mask.png"), "{}", refusal(folder.path()));
 }
 
-/// Photographs that are reduced as they are read are those that are read and reduced, and test photographs may be
-/// twice as large.
+/// Photographs that are reduced as they are read are those that are read and reduced, and test photographs
+/// may be twice as large.
 #[test]
 fn large_photographs_are_reduced_as_they_are_read() {
     let folder =

@@ -149,8 +149,8 @@ impl<'a> ClusterSymbols<'a> {
         }
     }
 
-    /// What the cluster's transform leaves of each member's motion, axis by axis: coefficients of `basis`, then
-    /// residuals per frame.
+    /// What the cluster's transform leaves of each member's motion, axis by axis: coefficients of `basis`,
+    /// then residuals per frame.
     fn motion(&mut self, left: &[Vec<f64>], basis: &[f32]) {
         let (n, frames, rank) = (self.members.len(), self.epoch.frames(), self.rank);
         let motion = self.quant.motion[Class::Position.index()];
