@@ -116,7 +116,8 @@ impl<'a> Clusters<'a> {
         self.clusters.iter().map(|cluster| cluster.versions.len() * cluster.gaussians.len() * each).sum()
     }
 
-    /// Distortion from a view's reference of every context, each a version per cluster, and of every version in it.
+    /// Distortion from a view's reference of every context, each a version per cluster, and of every version
+    /// in it.
     ///
     /// # Errors
     /// Settings or a reference that the renderer refuses.
