@@ -120,6 +120,42 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     pending.finish()
 }
 
+/// Writes `bytes` as `path` and `beside` as the file that it refers to: both, or what was there before stays.
+///
+/// # Errors
+/// What the system says, with the path; a `path` that is a device or a pipe, which has nothing beside it.
+pub(crate) fn write_pair(path: &Path, bytes: &[u8], beside: (&Path, &[u8])) -> Result<()> {
+    let pending = |path: &Path, bytes: &[u8]| {
+        let mut pending = PendingFile::begin(path)?;
+        let synced = pending.file().write_all(bytes).and_then(|()| pending.file().sync_all());
+        synced.with_context(|| format!("{}: cannot write", path.display()))?;
+        Ok::<_, anyhow::Error>(pending)
+    };
+    let (first, second) = (pending(beside.0, beside.1)?, pending(path, bytes)?);
+    // What refers to the other comes last, so that whoever finds it finds both.
+    first.finish()?;
+    second.finish()
+}
+
+/// Refuses a file that [`write_pair`] would write beside `path`, and that nobody named: asked before the work.
+///
+/// # Errors
+/// As [`check`]; a file that is there, unless `overwrite`; a `path` that is a device or a pipe.
+pub(crate) fn check_beside(path: &Path, beside: &Path, overwrite: bool) -> Result<()> {
+    if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+        bail!("{}: is no file; a file is needed, as {} goes beside it", path.display(), beside.display());
+    }
+    check(beside)?;
+    if !overwrite && fs::symlink_metadata(beside).is_ok() {
+        bail!(
+            "{}: is there, and goes beside {}; --overwrite replaces it",
+            beside.display(),
+            path.display()
+        );
+    }
+    Ok(())
+}
+
 /// A file on its way: under a temporary name beside its own until [`PendingFile::finish`], and removed if it
 /// is never finished.
 #[derive(Debug)]
@@ -267,6 +303,24 @@ mod tests {
             assert!(error.contains(says), "{error}");
             assert!(write(&path, b"x").is_err(), "{name}");
         }
+    }
+
+    #[test]
+    fn of_two_files_neither_is_half_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, beside) = (folder.path().join("a.gltf"), folder.path().join("a.bin"));
+        check_beside(&path, &beside, false).unwrap();
+        write_pair(&path, b"text", (&beside, b"data")).unwrap();
+        assert_eq!((fs::read(&path).unwrap(), fs::read(&beside).unwrap()), (b"text".into(), b"data".into()));
+        let error = check_beside(&path, &beside, false).unwrap_err().to_string();
+        assert!(error.contains("a.bin: is there") && error.contains("--overwrite"), "{error}");
+        check_beside(&path, &beside, true).unwrap();
+        write_pair(&path, b"TEXT", (&beside, b"DATA")).unwrap();
+        assert_eq!(fs::read(&beside).unwrap(), b"DATA");
+        // A name that cannot be written leaves the other as it was.
+        assert!(write_pair(folder.path(), b"x", (&beside, b"x")).is_err());
+        assert_eq!(fs::read(&beside).unwrap(), b"DATA");
+        assert_eq!(names(folder.path()), ["a.bin", "a.gltf"]);
     }
 
     #[cfg(unix)]

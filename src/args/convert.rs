@@ -12,8 +12,8 @@ use super::{FrameRange, SceneArgs, number::real};
 pub struct Convert {
     /// Scene, as for import, or a .dgs file.
     pub input: String,
-    /// NAME.ply, .compressed.ply, .spz, .splat, .sog or .glb (KHR_gaussian_splatting) for one frame,
-    /// .4dgs or a folder for a PLY sequence of all.
+    /// NAME.ply, .compressed.ply, .spz, .splat, .sog, .glb or .gltf (KHR_gaussian_splatting; .gltf with its
+    /// buffer beside it as NAME.bin) for one frame, .4dgs or a folder for a PLY sequence of all.
     pub out: PathBuf,
     /// Keep these frames: FIRST..LAST with LAST included, FIRST.., or one.
     #[arg(long, value_name = "FIRST..LAST")]
@@ -46,7 +46,7 @@ pub struct Convert {
     /// The frame for a single file [default: 0].
     #[arg(long)]
     pub frame: Option<u32>,
-    /// Replace a folder of frames that is there already.
+    /// Replace a folder of frames, or the buffer of a .gltf, that is there already.
     #[arg(long)]
     pub overwrite: bool,
     /// How to read the scene.

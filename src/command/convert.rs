@@ -27,9 +27,8 @@ use crate::{
 /// Runs the verb.
 pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let output = SceneOutput::of(&args.out)?;
-    output.check(&args.out, args.overwrite)?;
     let inputs: Vec<&Path> = std::iter::once(&args.input).chain(&args.merge).map(Path::new).collect();
-    files::check_apart(&args.out, &inputs)?;
+    output.check(&args.out, args.overwrite, &inputs)?;
     let only = output.only(args.frame)?;
     let progress = Progress::new("convert", quiet.0);
     let mut warnings = Vec::new();
@@ -82,9 +81,14 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     for note in &scene.notes {
         text += &format!("  note: {note}\n");
     }
-    let bytes = std::fs::metadata(&args.out).ok().filter(std::fs::Metadata::is_file).map(|found| found.len());
+    let length = |path: &Path| {
+        std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file).map(|found| found.len())
+    };
+    let buffer = output.buffer_path(&args.out);
+    let bytes = length(&args.out).map(|bytes| bytes + buffer.as_deref().and_then(length).unwrap_or(0));
     let json = json!({
         "input": args.input, "out": files::shown(&args.out),
+        "buffer": buffer.as_deref().map(files::shown),
         "gaussians": scene.max_count(), "frames": scene.frames(),
         "bytes": bytes, "axes": turned, "notes": scene.notes, "warnings": warnings,
     });

@@ -27,7 +27,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
         .map(|out| Ok::<_, anyhow::Error>((out, SceneOutput::of_decoded(out)?)))
         .transpose()?;
     if let Some((out, output)) = out {
-        output.check(out, args.overwrite)?;
+        output.check(out, args.overwrite, &[&args.input])?;
         output.only(args.frame)?;
     }
     let mut warnings = Vec::new();

@@ -1,6 +1,9 @@
 //! Names the formats that scenes are written in, and writes frames in them.
 
-use std::{borrow::Borrow, path::Path};
+use std::{
+    borrow::Borrow,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, Result, bail};
 use codec_core::{Footprint, ShDegree};
@@ -30,7 +33,7 @@ pub(in crate::command) enum SceneOutput {
 /// Which frames are written, and how they are drawn.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::command) struct FrameRun {
-    /// Replaces a folder that is there.
+    /// Replaces a folder, or the buffer of a glTF, that is there.
     pub(in crate::command) overwrite: bool,
     /// The frame that a file gets.
     pub(in crate::command) only: u32,
@@ -78,12 +81,22 @@ impl SceneOutput {
         )
     }
 
-    /// Refuses an output that could not be written: asked before the work.
-    pub(in crate::command) fn check(self, path: &Path, overwrite: bool) -> Result<()> {
+    /// Refuses an output that could not be written, or that is one of `inputs`: asked before the work.
+    pub(in crate::command) fn check(self, path: &Path, overwrite: bool, inputs: &[&Path]) -> Result<()> {
         match self {
-            Self::File(_) | Self::FourDgs => files::check(path),
-            Self::Folder => FrameFolder::check(path, overwrite),
+            Self::File(_) | Self::FourDgs => files::check(path)?,
+            Self::Folder => FrameFolder::check(path, overwrite)?,
         }
+        files::check_apart(path, inputs)?;
+        let Some(buffer) = self.buffer_path(path) else { return Ok(()) };
+        files::check_beside(path, &buffer, overwrite)?;
+        files::check_apart(&buffer, inputs)
+    }
+
+    /// Where its second file lies, if it has one.
+    pub(in crate::command) fn buffer_path(self, path: &Path) -> Option<PathBuf> {
+        let Self::File(format) = self else { return None };
+        format.buffer_path(path)
     }
 
     /// The frame that a single file holds: the one typed, else the first.
@@ -138,8 +151,9 @@ impl SceneOutput {
                 for number in 0..count {
                     progress.step("writing frame", number as usize, count as usize);
                     let (epoch, t) = frame(number)?;
-                    let ply = FileFormat::Ply.encode(epoch.borrow(), t, footprint)?;
-                    folder.add(format!("frame_{number:05}.ply"), &ply)?;
+                    let name = format!("frame_{number:05}.ply");
+                    let ply = FileFormat::Ply.encode(epoch.borrow(), t, footprint, Path::new(&name))?;
+                    folder.add(name, &ply.bytes)?;
                 }
                 let written = folder.finish(overwrite)?;
                 return Ok(format!("wrote {} to {}\n", counted(written, "PLY file"), out.display()));
@@ -147,12 +161,20 @@ impl SceneOutput {
         };
         let (epoch, t) = frame(only)?;
         let failed = || out.display().to_string();
-        let bytes = format.encode(epoch.borrow(), t, footprint).with_context(failed)?;
-        files::write(out, &bytes)?;
+        let written = format.encode(epoch.borrow(), t, footprint, out).with_context(failed)?;
+        let mut len = written.bytes.len();
+        let mut name = out.display().to_string();
+        match format.buffer_path(out).zip(written.buffer) {
+            Some((path, buffer)) => {
+                files::write_pair(out, &written.bytes, (&path, &buffer))?;
+                len += buffer.len();
+                name += &format!(" and {}", path.display());
+            }
+            None => files::write(out, &written.bytes)?,
+        }
         let gaussians = epoch.borrow().count();
         let one = if count > 1 { format!(", frame {only} of {count}") } else { String::new() };
-        let mut text =
-            format!("wrote {}: {gaussians} Gaussians, {} bytes{one}\n", out.display(), bytes.len());
+        let mut text = format!("wrote {name}: {gaussians} Gaussians, {len} bytes{one}\n");
         let clamped = format.clamped_colours(epoch.borrow(), t);
         if clamped > 0 {
             text += &format!(
@@ -187,6 +209,9 @@ mod tests {
         assert_eq!(of("a.PLY").unwrap(), SceneOutput::File(FileFormat::Ply));
         assert_eq!(of("a.compressed.ply").unwrap(), SceneOutput::File(FileFormat::CompressedPly));
         assert_eq!(of("frames").unwrap(), SceneOutput::Folder);
+        let gltf = of("b.c.GLTF").unwrap();
+        assert_eq!(gltf.buffer_path(Path::new("b.c.GLTF")), Some(PathBuf::from("b.c.bin")));
+        assert_eq!(of("a.glb").unwrap().buffer_path(Path::new("a.glb")), None);
         assert_eq!(of("a.spz").unwrap().default_up(), Up::Y);
         assert_eq!(of("a.sog").unwrap().default_up(), Up::MinusY);
         assert!(of("a.dgs").unwrap_err().to_string().contains("dgs encode"));

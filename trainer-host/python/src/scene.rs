@@ -117,9 +117,14 @@ fn turned(scene: &trainer_host::Scene, format: FileFormat) -> PyResult<Option<tr
 fn write_frame(scene: &trainer_host::Scene, format: FileFormat, path: &Path, frame: i64) -> PyResult<()> {
     let frame = checked_frame(frame, scene.frames())?;
     let Some((epoch, t)) = scene.locate(frame) else { return Ok(()) };
-    let bytes =
-        format.encode(&scene.epochs()[epoch], t, scene.footprint).map_err(|error| of_file(path, &error))?;
-    std::fs::write(path, bytes).map_err(|error| of_file(path, &error))
+    let failed = |error| of_file(path, &error);
+    let files = format.encode(&scene.epochs()[epoch], t, scene.footprint, path).map_err(failed)?;
+    if let Some((path, buffer)) = format.buffer_path(path).zip(files.buffer) {
+        // Nobody named it: what is there may be something else.
+        let mut new = std::fs::File::create_new(&path).map_err(|error| of_file(&path, &error))?;
+        std::io::Write::write_all(&mut new, &buffer).map_err(|error| of_file(&path, &error))?;
+    }
+    std::fs::write(path, files.bytes).map_err(failed)
 }
 
 /// Writes every frame as a PLY into the folder `path`, which must be empty or not there.

@@ -13,7 +13,7 @@ pub mod sog;
 pub mod splat;
 pub mod spz;
 
-pub use file_format::FileFormat;
+pub use file_format::{FileFormat, FrameFiles};
 
 use super::activation::{SH_C0, sigmoid};
 

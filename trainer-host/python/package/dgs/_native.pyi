@@ -175,7 +175,8 @@ class Scene:
     def save(self, path: _Path, *, frame: int = 0, keep_axes: bool = False) -> None:
         """Writes the scene as the ending says.
 
-        .ply, .compressed.ply, .spz, .splat, .sog and .glb hold the one ``frame``, a folder without an ending
+        .ply, .compressed.ply, .spz, .splat, .sog, .glb and .gltf hold the one ``frame`` (.gltf with a .bin of the
+        same name beside it, which must not be there yet), a folder without an ending
         every frame as a PLY, .4dgs all of it, .dgs all of it as :func:`encode` writes it by default. The scene is turned to
         the axes that are usual in the format unless ``keep_axes``.
         """

@@ -1,6 +1,9 @@
 //! Names the formats that one frame is written in, by the endings of files.
 
-use std::{io, path::Path};
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
 
 use codec_core::{Footprint, ShDegree};
 
@@ -32,11 +35,22 @@ pub enum FileFormat {
     Sog,
     /// glTF with `KHR_gaussian_splatting`, binary.
     Glb,
+    /// The same as JSON, with its buffer in a file beside it.
+    Gltf,
+}
+
+/// One frame as files.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FrameFiles {
+    /// The file that is named.
+    pub bytes: Vec<u8>,
+    /// The file at [`FileFormat::buffer_path`], where the format has one.
+    pub buffer: Option<Vec<u8>>,
 }
 
 impl FileFormat {
     /// The endings of names, for people.
-    pub const ENDINGS: &str = ".ply, .compressed.ply, .spz, .splat, .sog, .glb";
+    pub const ENDINGS: &str = ".ply, .compressed.ply, .spz, .splat, .sog, .glb, .gltf";
 
     /// The format whose ending `path` has.
     pub fn of(path: &Path) -> Option<Self> {
@@ -48,6 +62,7 @@ impl FileFormat {
             "splat" => Self::Splat,
             "sog" => Self::Sog,
             "glb" => Self::Glb,
+            "gltf" => Self::Gltf,
             _ => return None,
         })
     }
@@ -60,19 +75,30 @@ impl FileFormat {
             Self::Spz => Format::Spz,
             Self::Splat => Format::Splat,
             Self::Sog => Format::Sog,
-            Self::Glb => Format::GltfSplats,
+            Self::Glb | Self::Gltf => Format::GltfSplats,
         })
         .unwrap_or_default()
     }
 
-    /// Frame `t` of `epoch`, which must be below its frame count, as a file of Gaussians that are drawn with
-    /// `footprint`, as far as the format can say.
+    /// Where the second file of the frame at `path` lies: the buffer of glTF as JSON.
+    pub fn buffer_path(self, path: &Path) -> Option<PathBuf> {
+        (self == Self::Gltf).then(|| path.with_extension("bin"))
+    }
+
+    /// Frame `t` of `epoch`, which must be below its frame count, as the files at `path` of Gaussians that are
+    /// drawn with `footprint`, as far as the format can say.
     ///
     /// # Errors
-    /// More Gaussians, or values further apart, than the format holds.
-    pub fn encode(self, epoch: &Epoch, t: usize, footprint: Footprint) -> io::Result<Vec<u8>> {
+    /// More Gaussians, or values further apart, than the format holds; a name of a buffer that is no Unicode.
+    pub fn encode(
+        self,
+        epoch: &Epoch,
+        t: usize,
+        footprint: Footprint,
+        path: &Path,
+    ) -> io::Result<FrameFiles> {
         let antialiased = footprint.compensates_opacity();
-        Ok(match self {
+        let bytes = match self {
             Self::Ply => ply::encode(epoch, t),
             Self::CompressedPly => compressed_ply::encode(epoch, t),
             Self::Spz => {
@@ -81,7 +107,17 @@ impl FileFormat {
             Self::Splat => splat::encode(epoch, t),
             Self::Sog => sog::encode(epoch, t, antialiased)?,
             Self::Glb => gltf::encode(epoch, t)?,
-        })
+            Self::Gltf => {
+                let buffer = self.buffer_path(path).unwrap_or_default();
+                let name = buffer.file_name().and_then(|name| name.to_str()).ok_or_else(|| {
+                    let why = "the file names its buffer in JSON: a name in Unicode is needed";
+                    io::Error::new(io::ErrorKind::InvalidInput, why)
+                })?;
+                let (bytes, buffer) = gltf::encode_apart(epoch, t, name);
+                return Ok(FrameFiles { bytes, buffer: Some(buffer) });
+            }
+        };
+        Ok(FrameFiles { bytes, buffer: None })
     }
 
     /// Gaussians of frame `t` of `epoch` whose colours of band 0 are beyond what it holds, and are clamped.
@@ -89,7 +125,7 @@ impl FileFormat {
         let unit: fn(f32) -> f32 = match self {
             Self::Splat => super::display_colour,
             Self::Spz => |sh0| sh0 * COLOUR_SCALE + 0.5,
-            Self::Ply | Self::CompressedPly | Self::Sog | Self::Glb => return 0,
+            Self::Ply | Self::CompressedPly | Self::Sog | Self::Glb | Self::Gltf => return 0,
         };
         // Half a step beyond is still the nearest byte.
         let is_within = |sh0: &f32| (-0.5..=255.5).contains(&(255.0 * unit(*sh0)));

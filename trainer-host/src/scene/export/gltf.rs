@@ -1,4 +1,5 @@
-//! Writes GLB with `KHR_gaussian_splatting`: one primitive of points, an accessor per attribute.
+//! Writes glTF with `KHR_gaussian_splatting`, as GLB or as JSON with its buffer beside it: one primitive of
+//! points, an accessor per attribute.
 //!
 //! Lossless but for the domains: sizes and opacities are linear there, quaternions xyzw. `COLOR_0` shows
 //! points where the extension is not known.
@@ -52,6 +53,42 @@ impl Buffer {
 /// # Errors
 /// More bytes than the format's 32-bit lengths hold.
 pub fn encode(epoch: &Epoch, t: usize) -> std::io::Result<Vec<u8>> {
+    let (document, buffer) = document(epoch, t);
+    let mut text = document.to_string().into_bytes();
+    text.resize(text.len().next_multiple_of(4), b' ');
+    let length = |bytes: usize| {
+        let why = "more bytes than a GLB holds";
+        u32::try_from(bytes).map_err(|_| std::io::Error::new(std::io::ErrorKind::InvalidInput, why))
+    };
+    let mut out = b"glTF\x02\0\0\0".to_vec();
+    out.extend(length(12 + 8 + text.len() + 8 + buffer.len())?.to_le_bytes());
+    for (kind, chunk) in [(b"JSON", &text), (b"BIN\0", &buffer)] {
+        out.extend(length(chunk.len())?.to_le_bytes());
+        out.extend(kind);
+        out.extend(chunk);
+    }
+    Ok(out)
+}
+
+/// Frame `t` of `epoch` as the JSON of glTF, and the buffer that it reads from the file `buffer_name` beside
+/// it. `t` must be below the epoch's frame count.
+pub fn encode_apart(epoch: &Epoch, t: usize, buffer_name: &str) -> (Vec<u8>, Vec<u8>) {
+    let (mut document, buffer) = document(epoch, t);
+    document["buffers"][0]["uri"] = json!(uri_of(buffer_name));
+    (format!("{document:#}\n").into_bytes(), buffer)
+}
+
+/// A file's name as a relative reference of RFC 3986: what is not unreserved there is escaped.
+fn uri_of(name: &str) -> String {
+    let escaped = |byte: u8| match byte {
+        b'A'..=b'Z' | b'a'..=b'z' | b'0'..=b'9' | b'-' | b'.' | b'_' | b'~' => char::from(byte).to_string(),
+        _ => format!("%{byte:02X}"),
+    };
+    name.bytes().map(escaped).collect()
+}
+
+/// The JSON of frame `t` of `epoch`, and its one buffer, of which it does not say where it lies.
+fn document(epoch: &Epoch, t: usize) -> (Value, Vec<u8>) {
     let (n, a) = (epoch.count(), epoch.attributes());
     let (p, q) = (a.positions.frame(t, n), a.rotations.frame(t, n));
     let (s, o, c) = (a.log_scales.frame(t, n), a.opacity_logits.frame(t, n), a.sh0.frame(t, n));
@@ -100,20 +137,7 @@ pub fn encode(epoch: &Epoch, t: usize) -> std::io::Result<Vec<u8>> {
         "buffers": [{ "byteLength": buffer.bytes.len() }],
         "bufferViews": buffer.views, "accessors": buffer.accessors,
     });
-    let mut text = document.to_string().into_bytes();
-    text.resize(text.len().next_multiple_of(4), b' ');
-    let length = |bytes: usize| {
-        let why = "more bytes than a GLB holds";
-        u32::try_from(bytes).map_err(|_| std::io::Error::new(std::io::ErrorKind::InvalidInput, why))
-    };
-    let mut out = b"glTF\x02\0\0\0".to_vec();
-    out.extend(length(12 + 8 + text.len() + 8 + buffer.bytes.len())?.to_le_bytes());
-    for (kind, chunk) in [(b"JSON", &text), (b"BIN\0", &buffer.bytes)] {
-        out.extend(length(chunk.len())?.to_le_bytes());
-        out.extend(kind);
-        out.extend(chunk);
-    }
-    Ok(out)
+    (document, buffer.bytes)
 }
 
 #[cfg(test)]
@@ -125,12 +149,25 @@ mod tests {
     };
 
     #[test]
+    fn names_are_escaped_as_addresses_are() {
+        assert_eq!(uri_of("a-1_b~.bin"), "a-1_b~.bin");
+        assert_eq!(uri_of("mein Fuß #1.bin"), "mein%20Fu%C3%9F%20%231.bin");
+    }
+
+    #[test]
     fn files_read_back_but_for_rounding() {
         for degree in [0, 3] {
             let epoch = epoch(50, degree);
             let bytes = encode(&epoch, 0).unwrap();
             let nothing = |name: &str| panic!("{name} is not in the file");
             let again = import::gltf_splats::parse(&bytes, nothing, &Limits::default()).unwrap().epoch;
+            let (text, buffer) = encode_apart(&epoch, 0, "50 %.bin");
+            let beside = |name: &str| {
+                assert_eq!(name, "50 %.bin");
+                Ok(buffer.clone())
+            };
+            let apart = import::gltf_splats::parse(&text, beside, &Limits::default()).unwrap().epoch;
+            assert_eq!(apart.attributes(), again.attributes(), "the same in two files");
             let (a, b) = (epoch.attributes(), again.attributes());
             assert_eq!((&a.positions, &a.sh0, &a.sh_rest), (&b.positions, &b.sh0, &b.sh_rest));
             assert_close("scale", &epoch, &again, 1e-5, |a, n, i| a.log_scales.frame(0, n)[i].to_vec());

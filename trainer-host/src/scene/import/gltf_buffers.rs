@@ -198,12 +198,30 @@ pub(super) fn resource(
     beside: &mut impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
 ) -> Result<Vec<u8>, ImportError> {
     match uri.strip_prefix("data:") {
-        None => beside(uri),
+        None => {
+            // Some write names as they are.
+            let escaped = unescaped(uri).filter(|name| name != uri);
+            let Some(name) = escaped else { return beside(uri) };
+            beside(&name).or_else(|error| beside(uri).map_err(|_| error))
+        }
         Some(data) => data
             .split_once(";base64,")
             .and_then(|(_, text)| base64(text.as_bytes()))
             .ok_or_else(|| format.malformed("data uri", "other text", "base64 data")),
     }
+}
+
+/// `uri` with its escapes resolved; none where that is no text, or an escape is none.
+fn unescaped(uri: &str) -> Option<String> {
+    let mut parts = uri.split('%');
+    let mut bytes = parts.next()?.as_bytes().to_vec();
+    for part in parts {
+        let (digits, rest) = part.split_at_checked(2)?;
+        let is_hexadecimal = digits.bytes().all(|digit| digit.is_ascii_hexdigit());
+        bytes.push(u8::from_str_radix(digits, 16).ok().filter(|_| is_hexadecimal)?);
+        bytes.extend(rest.bytes());
+    }
+    String::from_utf8(bytes).ok()
 }
 
 fn base64(text: &[u8]) -> Option<Vec<u8>> {
@@ -234,6 +252,20 @@ fn base64(text: &[u8]) -> Option<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn escapes_are_resolved_where_they_are_some() {
+        assert_eq!(unescaped("a%20b%C3%9F.bin").as_deref(), Some("a b\u{df}.bin"));
+        for other in ["50%.bin", "%+1", "%ff"] {
+            assert_eq!(unescaped(other), None, "{other}");
+        }
+        let mut asked = Vec::new();
+        let read = resource(Format::Gltf, "a%20b", &mut |name: &str| {
+            asked.push(name.to_owned());
+            if name == "a%20b" { Ok(vec![7]) } else { Err(Format::Gltf.empty("file")) }
+        });
+        assert_eq!((read.unwrap(), asked), (vec![7], vec!["a b".to_owned(), "a%20b".to_owned()]));
+    }
 
     #[test]
     fn base64_reads_with_and_without_padding() {
