@@ -30,7 +30,7 @@ use trainer_host::{
 };
 
 pub(crate) use self::{
-    cache::{reference_photographs, stored_utilities},
+    cache::{reference_photographs, stored_utilities, utilities_of_clip},
     cameras::RENDER_RING,
     frames::LeftOut,
     impair::impairment,

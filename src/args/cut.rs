@@ -16,7 +16,9 @@ pub struct Cut {
     /// Keep levels up to this, 0 to 3; a packet that brings a lower one too stays.
     #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(u8).range(0..=3))]
     pub levels: Option<u8>,
-    /// Keep what these frames need: FIRST..LAST with LAST included, FIRST.., or one.
+    /// Keep these frames as a shorter clip that begins at 0: FIRST..LAST with LAST included, FIRST.., or one.
+    /// Windows of motion stay whole, so that the clip begins with the one that FIRST is in and ends with that
+    /// of LAST, as ffmpeg -c copy begins at the key frame before; parity is added up again.
     #[arg(long, value_name = "FIRST..LAST")]
     pub frames: Option<FrameRange>,
     /// Keep at most this many bytes of file: what adds most to the picture per byte, by the utilities beside

@@ -1,4 +1,4 @@
-//! Leaves packets out of a stream, without decoding it: `dgs cut`.
+//! Leaves packets out of a stream, or takes a part in time of it, without decoding it: `dgs cut`.
 
 mod budget;
 mod parity;
@@ -9,17 +9,21 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context, Result, bail};
-use codec_core::internals::wire::manifest::Manifest;
+use anyhow::{Context, Result, anyhow, bail};
 use serde_json::json;
-use trainer_host::stream::{PacketMap, SlicePlacement};
+use trainer_host::{
+    Stream,
+    encode::clip::{Clip, ClipError},
+    stream::{PacketMap, SlicePlacement},
+};
 
+use self::parity::Amount;
 use crate::{
-    args::Cut,
+    args::{Cut, FrameRange},
     figures::counted,
     files,
     output::VerbOutput,
-    pipeline::{self, stored_utilities, utility_path},
+    pipeline::{self, stored_utilities, utilities_of_clip, utility_path},
 };
 
 /// Runs the verb.
@@ -35,52 +39,73 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
         bail!("{}: --live writes to standard output; - is allowed", args.out.display());
     }
     let mut warnings = Vec::new();
-    let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
+    let whole = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
+    let map_of_whole = PacketMap::of(&whole)?;
+    let clip = args.frames.map(|range| clip(&whole, range)).transpose()?;
+    if clip.is_some() {
+        let repaired = map_of_whole.repaired(|id| !whole.packets()[id].is_empty());
+        let lost = (0..repaired.len()).filter(|&id| repaired[id] && whole.packets()[id].is_empty()).count();
+        if lost > 0 {
+            warnings.push(format!(
+                "{}: {} that parity repairs are not in the file, and not in the clip",
+                args.input.display(),
+                counted(lost, "packet")
+            ));
+        }
+    }
+    let stream = clip.as_ref().map_or(&whole, |clip| &clip.stream);
     let manifest = stream.manifest()?;
-    let map = PacketMap::of(&stream)?;
-    let frames = args.frames.map(|range| range.within(manifest.head().frames)).transpose()?;
+    let map = PacketMap::of(stream)?;
     let mut stays: Vec<bool> = (0..stream.packets().len())
         .map(|id| {
             let wanted = |placement: &SlicePlacement| {
-                let level = args.levels.is_none_or(|most| placement.group.level.get() <= most);
-                level && frames.as_ref().is_none_or(|frames| shows(&manifest, placement, frames))
+                args.levels.is_none_or(|most| placement.group.level.get() <= most)
             };
             !stream.packets()[id].is_empty() && (map.is_parity(id) || map.placements(id).iter().any(wanted))
         })
         .collect();
     let beside = utility_path(&args.input);
     let damaged = !warnings.is_empty();
-    let table = match stored_utilities(&beside, manifest.raw()) {
-        Ok(table) => Some(table),
+    let stored = match &clip {
+        Some(clip) => utilities_of_clip(&beside, &whole, clip),
+        None => stored_utilities(&beside, manifest.raw()).and_then(|table| {
+            Ok((table, std::fs::read(&beside).with_context(|| format!("{}: cannot read", beside.display()))?))
+        }),
+    };
+    let (table, measured) = match stored {
+        Ok((table, bytes)) => (Some(table), Some(bytes)),
         Err(error) => {
             if beside.exists() {
                 warnings.push(format!("{error:#}; they are not used"));
             }
-            None
+            (None, None)
         }
     };
-    let measured = table.as_ref().map(|_| std::fs::read(&beside)).transpose();
-    let measured = measured.with_context(|| format!("{}: cannot read", beside.display()))?;
     let target = measured.as_ref().and_then(|bytes| beside_output(&args.out, bytes, &mut warnings));
     if let Some(target) = &target {
         files::check(target)?;
     }
-    parity::only_of_whole_sets(&manifest, &stream, &mut stays);
+    parity::only_of_whole_sets(&manifest, stream, &mut stays);
     let mut ranking = None;
     if let Some(bytes) = args.bytes {
         let (order, by) = match &table {
             Some(table) => {
                 let wanted = stream.with_packets(|id| stays[id]);
-                (budget::order_by_utility(&wanted, &map, table, frames.as_ref()), Ranking::Utility)
+                (budget::order_by_utility(&wanted, &map, table), Ranking::Utility)
             }
-            None => (budget::order_by_level(&stream, &map), Ranking::Level),
+            None => (budget::order_by_level(stream, &map), Ranking::Level),
         };
-        if budget::within(&stream, &map, &order, &mut stays, bytes)? {
+        if budget::within(stream, &map, &order, &mut stays, bytes)? {
             ranking = Some(by);
         }
     }
-    let there = stream.packets().iter().filter(|packet| !packet.is_empty()).count();
-    let without = parity::left_out(&stream, &map, &stays);
+    let there = whole.packets().iter().filter(|packet| !packet.is_empty()).count();
+    let (before, after) =
+        (Amount::of(&whole, &map_of_whole, |_| true), Amount::of(stream, &map, |id| stays[id]));
+    let without = Amount {
+        packets: before.packets.saturating_sub(after.packets),
+        bytes: before.bytes.saturating_sub(after.bytes),
+    };
     let cut = stream.with_packets(|id| stays[id]);
     let left = stays.iter().filter(|stays| **stays).count();
     let windows = is_ordered.then(|| windows::windows(&cut, &manifest, &map));
@@ -94,7 +119,7 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
         // They are of the groups that the manifest tells of, whatever packets are there.
         files::write(target, bytes)?;
     }
-    let before = stream.to_bytes()?.len();
+    let before = whole.to_bytes()?.len();
     let mut text = format!(
         "{} → {}: {left} of {there} packets, {} of {before} bytes{}\n",
         args.input.display(),
@@ -102,6 +127,22 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
         len,
         ranking.map_or("", Ranking::sentence)
     );
+    let frames = manifest.head().frames;
+    if let Some((clip, asked)) = clip.as_ref().zip(args.frames) {
+        let Range { start, end } = clip.frames;
+        let seconds = f64::from(frames) / manifest.frames_per_second();
+        text += &format!(
+            "  frames {start} to {} are {} of their own from 0 on, {seconds:.3} s\n",
+            end - 1,
+            counted(frames as usize, "frame")
+        );
+        if asked.within(whole.manifest()?.head().frames)? != clip.frames {
+            text += &format!(
+                "  note: --frames is {asked}; motion is coded in windows, which stay whole (encode \
+                 --window-frames makes them shorter)\n"
+            );
+        }
+    }
     if without.packets > 0 {
         text +=
             &format!("  parity left out: {}, {} bytes\n", counted(without.packets, "packet"), without.bytes);
@@ -110,6 +151,7 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
         "input": files::shown(&args.input), "out": files::shown(&args.out),
         "packets": left, "packets_before": there,
         "bytes": len, "bytes_before": before, "ranking": ranking.map(Ranking::name),
+        "first_frame": clip.as_ref().map_or(0, |clip| clip.frames.start), "frames": frames,
         "parity_left_out": { "packets": without.packets, "bytes": without.bytes },
         "warnings": warnings,
     });
@@ -139,10 +181,16 @@ fn written(args: &Cut, bytes: &[u8]) -> Result<usize> {
     Ok(bytes.len())
 }
 
-/// Whether what a slice brings shows in any of `frames`.
-fn shows(manifest: &Manifest<'_>, placement: &SlicePlacement, frames: &Range<u32>) -> bool {
-    let covered = windows::covered(manifest, placement);
-    covered.start < frames.end && frames.start < covered.end
+/// The part of `whole` that shows `range`.
+fn clip(whole: &Stream, range: FrameRange) -> Result<Clip> {
+    let frames = range.within(whole.manifest()?.head().frames)?;
+    Clip::of(whole, frames).map_err(|error| {
+        let instead = "dgs convert --frames and dgs encode make a shorter one";
+        match error {
+            ClipError::Paper | ClipError::Shared { .. } => anyhow!("--frames is {range}: {error}; {instead}"),
+            error => anyhow::Error::new(error).context(format!("--frames is {range}")),
+        }
+    })
 }
 
 /// What decides which packets of too many stay.

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use trainer_host::{
     Scene, Stream, Track,
+    encode::clip::Clip,
     stream::PacketMap,
     train::Views,
     utility::{self, ReferencePhotographs, References, SourceRenders, UtilityError, UtilityOptions},
@@ -98,6 +99,18 @@ pub(crate) fn stored_utilities(path: &Path, manifest: &[u8]) -> Result<utility::
         path.display()
     );
     Ok(stored.table)
+}
+
+/// As [`stored_utilities`], with the file's bytes for `clip`, a part of the stream `whole`.
+///
+/// # Errors
+/// As [`stored_utilities`].
+pub(crate) fn utilities_of_clip(path: &Path, whole: &Stream, clip: &Clip) -> Result<(utility::Table, Vec<u8>)> {
+    let table = clip.utilities(whole, &stored_utilities(path, whole.manifest()?.raw())?)?;
+    let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
+    let stored = parsed(&bytes).map_err(|why| anyhow::anyhow!("{}: {why}", path.display()))?;
+    let stored = StoredUtilities { table: table.clone(), ..stored };
+    Ok((table, serde_json::to_vec(&stored)?))
 }
 
 /// What is stored in `bytes`, or why it is of no use.

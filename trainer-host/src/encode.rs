@@ -12,6 +12,7 @@
 //! Whatever is chosen is in [`Decisions`], which is plain data; [`write()`] has no choice in it.
 
 mod analysis;
+pub mod clip;
 pub mod cluster;
 pub mod decisions;
 mod dgs1;

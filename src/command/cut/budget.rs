@@ -1,6 +1,6 @@
 //! Chooses which packets of too many stay, where a file may have so many bytes.
 
-use std::{collections::BTreeSet, ops::Range};
+use std::collections::BTreeSet;
 
 use anyhow::{Result, bail};
 use codec_core::internals::{
@@ -8,7 +8,7 @@ use codec_core::internals::{
     ids::{Group, Level, Span},
     wire::manifest::Manifest,
 };
-use emulator_host::{PacketGraph, policy};
+use emulator_host::policy;
 use trainer_host::{
     Stream,
     stream::{PacketMap, SlicePlacement},
@@ -21,15 +21,14 @@ use crate::pipeline;
 /// Bytes of a file that a packet takes besides its own: its length and its place in the index.
 const RECORD_BYTES: u64 = 6;
 
-/// Packets that are there by what each byte of them adds to `frames`, what each needs before it; those that
-/// add nothing last.
+/// Packets that are there by what each byte of them adds, what each needs before it; those that add nothing
+/// last.
 pub(super) fn order_by_utility(
     stream: &Stream,
     map: &PacketMap,
     table: &Table,
-    frames: Option<&Range<u32>>,
 ) -> Vec<usize> {
-    let graph = pipeline::ranked_graph(stream, map, table).and_then(|graph| shown_in(graph, frames));
+    let graph = pipeline::ranked_graph(stream, map, table);
     // Of a stream of which nothing shows, nothing is ranked.
     let mut order: Vec<usize> = graph.map_or_else(
         |_| Vec::new(),
@@ -41,21 +40,6 @@ pub(super) fn order_by_utility(
     order.iter().for_each(|&id| is_ranked[id] = true);
     order.extend(order_by_level(stream, map).into_iter().filter(|&id| !is_ranked[id]));
     order
-}
-
-/// The graph of which nothing but `frames` is shown.
-fn shown_in(graph: PacketGraph, frames: Option<&Range<u32>>) -> Result<PacketGraph> {
-    let Some(frames) = frames else { return Ok(graph) };
-    let mut parts = graph.parts().clone();
-    for group in &mut parts.groups {
-        let (first, past) = (group.first_frame.max(frames.start), (group.last_frame + 1).min(frames.end));
-        if first < past {
-            (group.first_frame, group.last_frame) = (first, past - 1);
-        } else {
-            group.utility = 0.0;
-        }
-    }
-    Ok(PacketGraph::new(parts)?)
 }
 
 /// Packets that are there by level, those of one level as they lie in the stream.

@@ -18,15 +18,21 @@ pub(super) fn only_of_whole_sets(manifest: &Manifest<'_>, stream: &Stream, stays
     }
 }
 
-/// Parity that is there and does not stay.
-pub(super) struct ParityLeftOut {
+/// Parity packets that are there, and their bytes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Amount {
     pub(super) packets: usize,
     pub(super) bytes: usize,
 }
 
-/// What goes of the parity of `stream` with all that does not stay.
-pub(super) fn left_out(stream: &Stream, map: &PacketMap, stays: &[bool]) -> ParityLeftOut {
-    let goes = (0..stays.len()).filter(|&id| map.is_parity(id) && !stays[id]);
-    let bytes: Vec<usize> = goes.map(|id| stream.packets()[id].len()).collect();
-    ParityLeftOut { packets: bytes.len(), bytes: bytes.iter().sum() }
+impl Amount {
+    /// Of the packets of `stream` that `stays` says.
+    pub(super) fn of(stream: &Stream, map: &PacketMap, stays: impl Fn(usize) -> bool) -> Self {
+        let there = stream.packets().iter().enumerate().filter(|(_, packet)| !packet.is_empty());
+        let bytes: Vec<usize> = there
+            .filter(|(id, _)| map.is_parity(*id) && stays(*id))
+            .map(|(_, packet)| packet.len())
+            .collect();
+        Self { packets: bytes.len(), bytes: bytes.iter().sum() }
+    }
 }
