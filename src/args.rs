@@ -76,13 +76,13 @@ pub enum Verb {
     Encode(Encode),
     /// Say what a .dgs file holds: manifest, packets, damage.
     Inspect(Inspect),
-    /// Leave packets out of a .dgs file (levels, frames, bytes), or put them in order of time.
+    /// Leave packets out of a .dgs file (levels, bytes), cut it in time (frames), or put its packets in order.
     ///
-    /// Packets are left out, and nothing is decoded or coded again: the manifest still tells of all, and what
-    /// reads the file says how many packets are missing. Parity stays where all packets of
-    /// its repair set do, and goes with the first of them that is left out, since it repairs nothing then;
-    /// what of it goes is said. Utilities beside the input are copied beside the output, unless others are
-    /// there.
+    /// Nothing is decoded or coded again. A shorter clip is a whole stream; where packets are left out of it
+    /// besides, the manifest still tells of all, and what reads the file says how many packets are missing.
+    /// Parity stays where all packets of its repair set do, and goes with the first of them that is left out,
+    /// since it repairs nothing then; what of it goes is said. Utilities beside the input go with the output,
+    /// unless others are there.
     Cut(Cut),
     /// Decode a .dgs file to PLY or SPZ frames.
     Decode(Decode),

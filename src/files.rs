@@ -137,7 +137,8 @@ pub(crate) fn write_pair(path: &Path, bytes: &[u8], beside: (&Path, &[u8])) -> R
     second.finish()
 }
 
-/// Refuses a file that [`write_pair`] would write beside `path`, and that nobody named: asked before the work.
+/// Refuses a file that [`write_pair`] would write beside `path`, and that nobody named; asked before the
+/// work.
 ///
 /// # Errors
 /// As [`check`]; a file that is there, unless `overwrite`; a `path` that is a device or a pipe.
@@ -147,11 +148,7 @@ pub(crate) fn check_beside(path: &Path, beside: &Path, overwrite: bool) -> Resul
     }
     check(beside)?;
     if !overwrite && fs::symlink_metadata(beside).is_ok() {
-        bail!(
-            "{}: is there, and goes beside {}; --overwrite replaces it",
-            beside.display(),
-            path.display()
-        );
+        bail!("{}: is there, and goes beside {}; --overwrite replaces it", beside.display(), path.display());
     }
     Ok(())
 }

@@ -119,7 +119,8 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         Some(scene) => scene,
         None => match import::import(path, &options(false)) {
             Err(error) if args.keep_readable => {
-                let scene = import::import(path, &options(true))?;
+                let scene = import::import(path, &options(true))
+                    .map_err(|error| anyhow::anyhow!("{error}; --keep-readable finds nothing to keep"))?;
                 damage = Some(format!("{error:#}; what is readable is kept"));
                 scene
             }

@@ -1,4 +1,4 @@
-//! JSON that programs read, against its schemas: manifest, packets, frames, quality of experience.
+//! JSON that programs read, against its schemas: manifest, packets, frames, and what every verb prints.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
@@ -14,7 +14,7 @@ fn validator(name: &str) -> Validator {
         serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
     };
     let mut registry = Registry::new();
-    for other in ["packet", "frame"] {
+    for other in ["packet", "frame", "report"] {
         let schema = read(other);
         registry = registry.add(schema["$id"].as_str().unwrap(), schema.clone()).unwrap();
     }
@@ -85,6 +85,84 @@ fn a_comparison_is_as_its_schema_says() {
         let mut damaged = said;
         damaged["pictures"][0]["flip"] = json!(1.5);
         assert!(complaints(&comparisons, &damaged)[0].starts_with("/pictures/0/flip"));
+    }
+}
+
+/// The verb of `args` by the binary, with `--json`.
+fn said(folder: &Path, args: &[&str]) -> Value {
+    serde_json::from_str(&dgs(folder, &[&["--json"], args].concat())).unwrap()
+}
+
+#[test]
+fn what_verbs_print_is_as_their_schemas_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let quick = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/sweeps/quick.toml");
+    let few = std::fs::read_to_string(quick).unwrap().replace("replicates = 3", "replicates = 1");
+    std::fs::write(at.join("few.toml"), few).unwrap();
+    let small = ["--width", "32", "--height", "32"];
+    let scene = "synth:figure:1000:4";
+    let runs: [(&str, &[&str]); 18] = [
+        ("import", &[scene]),
+        ("convert", &[scene, "a.gltf"]),
+        ("convert", &[scene, "frames"]),
+        ("encode", &[scene, "-o", "a.dgs", "--pictures", "0", "--repair-set", "4"]),
+        ("encode", &[scene, "-o", "b.dgs", "--pictures", "0", "--utility", "--table"]),
+        ("inspect", &["a.dgs"]),
+        ("cut", &["a.dgs", "c.dgs", "--frames", "0..1"]),
+        ("cut", &["b.dgs", "c.dgs", "--levels", "0"]),
+        ("cut", &["b.dgs", "d.dgs", "--bytes", "4000"]),
+        ("decode", &["a.dgs", "--digest"]),
+        ("decode", &["a.dgs", "-o", "decoded"]),
+        ("render", &["a.dgs", "-o", "a.png"]),
+        ("stream", &["a.dgs"]),
+        ("stream", &["a.dgs", "--out", "s.dgs", "--states", "s.json", "--turntable", "1"]),
+        ("demo", &["--scene", scene, "--out", "report", "--contexts", "1", "--pictures", "0"]),
+        ("train", &["synth:balls:1000:2", "-o", "trained", "--steps", "4", "--side", "32", "--cameras", "2"]),
+        ("sweep", &["few.toml", "-o", "swept"]),
+        ("sweep", &["merge", "swept", "-o", "merged"]),
+    ];
+    for (verb, args) in runs {
+        let has_size = verb == "render" || args.contains(&"--turntable");
+        let size: &[&str] = if has_size { &small } else { &[] };
+        let mut said = said(at, &[&[verb], args, size].concat());
+        let schema = validator(verb);
+        assert_eq!(complaints(&schema, &said), [""; 0], "{verb} {args:?}: {said}");
+        said["undocumented"] = json!(1);
+        assert!(!schema.is_valid(&said), "{verb}: a key without a description");
+    }
+}
+
+/// A server says what it did when it is interrupted, a viewer when the clip has ended.
+#[cfg(unix)]
+#[test]
+fn a_server_and_its_viewer_are_as_their_schemas_say() {
+    use std::{
+        io::{BufRead, BufReader, Read},
+        process::Stdio,
+    };
+
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    dgs(at, &["encode", "synth:figure:1000:4", "--out", "a.dgs", "--pictures", "0"]);
+    let mut server = Command::new(env!("CARGO_BIN_EXE_dgs"))
+        .current_dir(at)
+        .args(["--json", "serve", "a.dgs", "--listen", "127.0.0.1:0"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // Standard output is for the end: where it is served is on standard error.
+    let lines = BufReader::new(server.stderr.take().unwrap()).lines();
+    let url =
+        lines.map_while(Result::ok).find_map(|line| line.find("dgs://").map(|at| line[at..].to_owned()));
+    let played = said(at, &["play", url.unwrap().trim()]);
+    let ended = Command::new("kill").args(["-INT", &server.id().to_string()]).status().unwrap();
+    assert!(ended.success() && server.wait().unwrap().success());
+    let mut served = String::new();
+    server.stdout.take().unwrap().read_to_string(&mut served).unwrap();
+    for (verb, said) in [("play", played), ("serve", serde_json::from_str(&served).unwrap())] {
+        assert_eq!(complaints(&validator(verb), &said), [""; 0], "{verb}: {said}");
     }
 }
 

@@ -35,7 +35,9 @@ pub struct SceneArgs {
     /// Rows of a numbered PLY sequence are the same Gaussians in every frame.
     #[arg(long)]
     pub identity_stored: bool,
-    /// Keep the readable part of a damaged source instead of refusing it.
+    /// Keep the readable part of a damaged source instead of refusing it: Gaussians of which everything is
+    /// there, without harmonics where only those are missing. Meshes, and zip archives (SOG, npz) that have
+    /// lost their end, are read whole or not at all.
     #[arg(long)]
     pub keep_readable: bool,
     /// Most Gaussians to accept from one file.

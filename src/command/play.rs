@@ -128,6 +128,9 @@ pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
     }
     warnings.extend(ungranted(args, played.report.granted));
     warnings.extend(played.player.as_ref().and_then(|player| past_the_end(args, &player.info())));
+    let rounded = output
+        .zip(played.player.as_ref())
+        .and_then(|(output, player)| output.rounded_rate(player.manifest().frames_per_second()));
     let quality = match (played.player, draws) {
         (Some(player), true) => {
             let output = args.out.as_deref().zip(output);
@@ -135,10 +138,16 @@ pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
         }
         _ => None,
     };
-    let text = summary(args, &played.report, quality.as_ref());
+    let mut text = summary(args, &played.report, quality.as_ref());
+    for note in &rounded {
+        text += &format!("  note: {note}\n");
+    }
     let damaged = !warnings.is_empty();
     let out = args.out.as_deref().map(crate::files::shown);
-    let json = json!({ "report": played.report, "quality": quality, "out": out, "warnings": warnings });
+    let json = json!({
+        "report": played.report, "quality": quality, "out": out, "notes": rounded.as_slice(),
+        "warnings": warnings,
+    });
     Ok(VerbOutput { text, json, warnings, damaged })
 }
 

@@ -105,7 +105,11 @@ pub(crate) fn stored_utilities(path: &Path, manifest: &[u8]) -> Result<utility::
 ///
 /// # Errors
 /// As [`stored_utilities`].
-pub(crate) fn utilities_of_clip(path: &Path, whole: &Stream, clip: &Clip) -> Result<(utility::Table, Vec<u8>)> {
+pub(crate) fn utilities_of_clip(
+    path: &Path,
+    whole: &Stream,
+    clip: &Clip,
+) -> Result<(utility::Table, Vec<u8>)> {
     let table = clip.utilities(whole, &stored_utilities(path, whole.manifest()?.raw())?)?;
     let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
     let stored = parsed(&bytes).map_err(|why| anyhow::anyhow!("{}: {why}", path.display()))?;

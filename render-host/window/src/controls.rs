@@ -15,7 +15,7 @@ pub const KEYS: [(&str, &str); 18] = [
     ("drag, arrows", "turn around the scene"),
     ("right drag, Shift + arrows", "pan"),
     ("wheel, + −", "nearer or farther"),
-    ("W A S D Q E", "fly"),
+    ("W A S D Q E, Shift: faster", "fly, by keys held together"),
     ("0", "first view"),
     ("U", "another way up"),
     ("1 2 3 4", "highest level shown"),
@@ -27,8 +27,7 @@ pub const KEYS: [(&str, &str); 18] = [
     ("?", "these keys"),
 ];
 
-/// Share of the distance, pixels of a drag and factor that one press of a key moves.
-const FLY: f64 = 0.08;
+/// Pixels of a drag and factor that one press of a key moves.
 const TURN: f64 = 24.0;
 const ZOOM: f64 = 1.15;
 /// Speeds that keys go through, seconds of the clip per second.
@@ -102,12 +101,6 @@ impl Act {
             "l" => Self::Loop,
             "+" | "=" => Self::Zoom(ZOOM),
             "-" => Self::Zoom(1.0 / ZOOM),
-            "w" => Self::Fly([0.0, 0.0, FLY]),
-            "s" => Self::Fly([0.0, 0.0, -FLY]),
-            "a" => Self::Fly([-FLY, 0.0, 0.0]),
-            "d" => Self::Fly([FLY, 0.0, 0.0]),
-            "q" => Self::Fly([0.0, -FLY, 0.0]),
-            "e" => Self::Fly([0.0, FLY, 0.0]),
             "0" => Self::Home,
             "u" => Self::NextUp,
             "1" => Self::Cap(0),
@@ -233,9 +226,8 @@ mod tests {
         press(&mut session, "o");
         assert_eq!((session.cap(), session.overlay()), (1, Overlay::Levels));
         let before = session.orbit().numbers();
-        for key in ["w", "e", "a", "+"] {
-            press(&mut session, key);
-        }
+        Act::Fly([0.1, 0.2, 0.3]).apply(&mut session, SIZE).unwrap();
+        press(&mut session, "+");
         assert_ne!(session.orbit().numbers(), before);
         press(&mut session, "u");
         assert_eq!(session.orbit().up().name(), "minus-y");
@@ -254,6 +246,7 @@ mod tests {
         assert_eq!(Act::of(&left, false), Some(Act::Turn(TURN, 0.0)));
         assert_eq!(Act::of(&left, true), Some(Act::Pan(TURN, 0.0)));
         assert_eq!(Act::of(&Key::Character("y".into()), false), None);
+        assert_eq!(Act::of(&Key::Character("w".into()), false), None, "a key to fly by is held");
         assert_eq!(Act::of(&Key::Named(NamedKey::Tab), false), None);
     }
 

@@ -15,6 +15,7 @@ mod controls;
 mod engine;
 mod error;
 mod feed;
+mod flying;
 mod options;
 mod shell;
 mod still;

@@ -12,7 +12,7 @@ use winit::{
     dpi::PhysicalSize,
     event::{ElementState, MouseButton, MouseScrollDelta, StartCause, WindowEvent},
     event_loop::{ActiveEventLoop, ControlFlow, EventLoop},
-    keyboard::ModifiersState,
+    keyboard::{Key, ModifiersState},
     window::{Fullscreen, Window, WindowId},
 };
 
@@ -20,6 +20,7 @@ use crate::{
     Feed, WindowError, WindowOptions,
     controls::{Act, KEYS},
     engine::Engine,
+    flying::Flying,
 };
 
 /// Screens that are opened in vain before giving up, and what lies between two tries.
@@ -69,6 +70,7 @@ pub fn run(options: WindowOptions, feed: Feed, say: &mut dyn FnMut(&str)) -> Res
         titled_at: None,
         keys: ModifiersState::empty(),
         pointer: Pointer::default(),
+        flying: Flying::default(),
         report: Report::default(),
         failed: None,
     };
@@ -108,6 +110,7 @@ struct Shell<'s> {
     titled_at: Option<Instant>,
     keys: ModifiersState,
     pointer: Pointer,
+    flying: Flying,
     report: Report,
     failed: Option<WindowError>,
 }
@@ -168,7 +171,22 @@ impl ApplicationHandler for Shell<'_> {
                 if self.keys.intersects(others) {
                     return;
                 }
-                Act::of(&event.logical_key, self.keys.shift_key()).into_iter().collect()
+                let touched = match &event.logical_key {
+                    Key::Character(text) => self.flying.press(text, self.began.elapsed().as_secs_f64()),
+                    _ => None,
+                };
+                let act = touched.map(Act::Fly);
+                act.or_else(|| Act::of(&event.logical_key, self.keys.shift_key())).into_iter().collect()
+            }
+            WindowEvent::KeyboardInput { event, .. } => {
+                if let Key::Character(text) = &event.logical_key {
+                    self.flying.release(text);
+                }
+                return;
+            }
+            WindowEvent::Focused(false) => {
+                self.flying.stop();
+                return;
             }
             WindowEvent::MouseInput { state, button, .. } => {
                 self.pointer.press(button, state == ElementState::Pressed);
@@ -274,6 +292,10 @@ impl Shell<'_> {
     /// One turn of the loop.
     fn tick(&mut self, events: &ActiveEventLoop) {
         let now = Instant::now();
+        let flown = self.flying.moved((now - self.began).as_secs_f64(), self.keys.shift_key());
+        if let Some(Err(error)) = flown.map(|flown| self.act(Act::Fly(flown))) {
+            return self.fail(events, error);
+        }
         let seen = !self.hidden && self.size.iter().all(|&side| side > 0);
         let next = if seen { self.show(now) } else { self.engine.hide(self.size) };
         match next {
@@ -285,6 +307,10 @@ impl Shell<'_> {
             events.exit();
         }
         self.write_title(now);
+        // Who flies is drawn again and again.
+        if flown.is_some() && seen {
+            self.request();
+        }
     }
 
     /// Opens a screen where there is none, moves the clock, draws.

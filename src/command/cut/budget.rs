@@ -23,11 +23,7 @@ const RECORD_BYTES: u64 = 6;
 
 /// Packets that are there by what each byte of them adds, what each needs before it; those that add nothing
 /// last.
-pub(super) fn order_by_utility(
-    stream: &Stream,
-    map: &PacketMap,
-    table: &Table,
-) -> Vec<usize> {
+pub(super) fn order_by_utility(stream: &Stream, map: &PacketMap, table: &Table) -> Vec<usize> {
     let graph = pipeline::ranked_graph(stream, map, table);
     // Of a stream of which nothing shows, nothing is ranked.
     let mut order: Vec<usize> = graph.map_or_else(

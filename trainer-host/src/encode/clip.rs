@@ -30,7 +30,7 @@ pub enum ClipError {
     #[error("profile paper codes every epoch as a whole; dgs1 is allowed")]
     Paper,
     /// No frame of the stream is asked for.
-    #[error("frames {first}..{end} hold none of the stream's {frames}", first = .frames.start, end = .frames.end, frames = .of)]
+    #[error("frames {}..{} hold none of the stream's {of}", .frames.start, .frames.end)]
     Empty {
         /// What is asked for.
         frames: Range<u32>,
@@ -171,8 +171,7 @@ impl Kept {
 
     /// What a span of the whole is in the part, if it stays.
     fn renumbered(&self, span: Span) -> Option<Span> {
-        let within =
-            |range: &Range<u16>, number: u16| range.contains(&number).then(|| number - range.start);
+        let within = |range: &Range<u16>, number: u16| range.contains(&number).then(|| number - range.start);
         match span {
             Span::Canonical(EpochId(epoch)) => {
                 within(&self.epochs, epoch).map(|epoch| Span::Canonical(EpochId(epoch)))

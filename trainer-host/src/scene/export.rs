@@ -58,7 +58,7 @@ fn morton_order(positions: &[[f32; 3]]) -> Vec<u32> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(in crate::scene) mod tests {
     use codec_core::ShDegree;
     use rand::RngExt;
     use rand_pcg::rand_core::SeedableRng;
@@ -67,7 +67,7 @@ mod tests {
     use crate::scene::{Attributes, Epoch, Track};
 
     /// `n` Gaussians at random, with harmonics of `degree`.
-    pub(super) fn epoch(n: usize, degree: u8) -> Epoch {
+    pub(in crate::scene) fn epoch(n: usize, degree: u8) -> Epoch {
         let mut rng = rand_pcg::Pcg32::seed_from_u64(11);
         let mut within = |low: f32, high: f32| low + (high - low) * rng.random::<f32>();
         let mut three = |low: f32, high: f32| [within(low, high), within(low, high), within(low, high)];

@@ -69,6 +69,8 @@ enum View {
 /// The bytes of a file, by view.
 pub(super) struct Buffers {
     format: Format,
+    /// Whether a view may end before it should.
+    keeps: bool,
     buffers: Vec<Vec<u8>>,
     views: Vec<View>,
 }
@@ -95,6 +97,8 @@ impl Buffers {
             left = rest.ok_or_else(|| format.error(ErrorKind::TooLarge, field, "more", allowed))?;
             Ok(())
         };
+        // Of a mesh every part is needed; of Gaussians those count that are there.
+        let keeps = limits.keep_readable && format == Format::GltfSplats;
         let fallbacks = layout.fallbacks();
         let mut buffers = Vec::new();
         for (i, buffer) in layout.buffers.iter().enumerate() {
@@ -110,7 +114,7 @@ impl Buffers {
                     return Err(format.malformed(field, "no BIN chunk", "a BIN chunk or a uri"));
                 }
             };
-            if data.len() < buffer.byte_length {
+            if data.len() < buffer.byte_length && !keeps {
                 return Err(format.truncated(field, data.len() as u64, buffer.byte_length as u64));
             }
             spend(&field, data.len())?;
@@ -127,17 +131,21 @@ impl Buffers {
             let bytes = compressed.unfolded_bytes(format, &field, view.byte_length)?;
             spend(&field, bytes)?;
             let (buffer, offset) = (compressed.buffer, compressed.byte_offset);
-            let stream = range(format, &buffers, buffer, offset, compressed.byte_length)
-                .map_err(|e| ImportError { field: field.as_str().into(), ..e })?;
-            views.push(View::Unfolded(compressed.unfold(stream, format, &field)?));
+            let unfolded = range(format, &buffers, buffer, offset, compressed.byte_length)
+                .map_err(|e| ImportError { field: field.as_str().into(), ..e })
+                .and_then(|stream| compressed.unfold(stream, format, &field));
+            views.push(View::Unfolded(match unfolded {
+                Err(_) if keeps => Vec::new(),
+                unfolded => unfolded?,
+            }));
         }
-        Ok(Self { format, buffers, views })
+        Ok(Self { format, keeps, buffers, views })
     }
 
     /// The bytes of view `index`.
     ///
     /// # Errors
-    /// No such view, or one that leads out of its buffer.
+    /// No such view, or one that leads out of its buffer, unless that is kept as far as it goes.
     pub fn view(&self, index: usize) -> Result<&[u8], ImportError> {
         match self.views.get(index) {
             None => {
@@ -145,6 +153,9 @@ impl Buffers {
             }
             Some(View::Unfolded(bytes)) => Ok(bytes),
             Some(&View::Plain { buffer, offset, length }) => {
+                let there = self.buffers.get(buffer).map_or(0, Vec::len).saturating_sub(offset);
+                let length = if self.keeps { length.min(there) } else { length };
+                let offset = if length == 0 { 0 } else { offset };
                 range(self.format, &self.buffers, buffer, offset, length)
                     .map_err(|e| ImportError { field: format!("buffer view {index}").into(), ..e })
             }

@@ -103,7 +103,7 @@ struct View {
 
 /// Whether a glTF file is of this kind.
 pub(super) fn is_splats(bytes: &[u8]) -> bool {
-    let text = if bytes.starts_with(b"glTF") { json_chunk(bytes).map(|c| c.0) } else { Ok(bytes) };
+    let text = if bytes.starts_with(b"glTF") { json_chunk(bytes, true).map(|c| c.0) } else { Ok(bytes) };
     text.is_ok_and(|text| {
         let name = EXTENSION.as_bytes();
         text.windows(name.len()).any(|window| window == name)
@@ -121,7 +121,8 @@ pub fn parse(
     limits: &Limits,
 ) -> Result<Snapshot, ImportError> {
     limits.bytes(FORMAT, "file", bytes.len() as u64)?;
-    let (text, blob) = if bytes.starts_with(b"glTF") { json_chunk(bytes)? } else { (bytes, None) };
+    let (text, blob) =
+        if bytes.starts_with(b"glTF") { json_chunk(bytes, limits.keep_readable)? } else { (bytes, None) };
     let document: Document =
         serde_json::from_slice(text).map_err(|e| FORMAT.malformed("JSON", e, "the JSON of glTF 2.0"))?;
     if let Some(name) = document.extensions_required.iter().find(|name| !EXTENSIONS.contains(&name.as_str()))
@@ -129,8 +130,15 @@ pub fn parse(
         return Err(FORMAT.unsupported("extensionsRequired", name, EXTENSIONS.join(", ")));
     }
     let buffers = Buffers::load(FORMAT, text, blob, beside, limits)?;
-    let mut reader =
-        Reader { document: &document, buffers, limits, primitives: 0, parts: Vec::new(), count: 0 };
+    let mut reader = Reader {
+        document: &document,
+        buffers,
+        limits,
+        primitives: 0,
+        parts: Vec::new(),
+        count: 0,
+        notes: Vec::new(),
+    };
     let roots = match document.scenes.get(document.scene) {
         Some(scene) => scene.nodes.clone(),
         None => (0..document.nodes.len()).collect(),
@@ -141,8 +149,8 @@ pub fn parse(
     reader.snapshot()
 }
 
-/// The JSON of a GLB, and its binary chunk if there is one.
-fn json_chunk(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ImportError> {
+/// The JSON of a GLB, and its binary chunk if there is one; with `keeps` as much of that as is there.
+fn json_chunk(bytes: &[u8], keeps: bool) -> Result<(&[u8], Option<&[u8]>), ImportError> {
     let mut chunks = Vec::new();
     let mut at = 12usize;
     while chunks.len() < 2 && at < bytes.len() {
@@ -152,6 +160,7 @@ fn json_chunk(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ImportError> {
         let end = start.saturating_add(length as usize);
         let content = bytes
             .get(start..end)
+            .or_else(|| bytes.get(start..).filter(|_| keeps && !chunks.is_empty()))
             .ok_or_else(|| FORMAT.truncated("GLB", bytes.len() as u64, end as u64).at(at))?;
         chunks.push((array::<4>(bytes, at + 4).unwrap_or_default(), content));
         at = end;
@@ -172,6 +181,8 @@ struct Reader<'a> {
     parts: Vec<(Snapshot, Similarity)>,
     /// Gaussians read.
     count: usize,
+    /// What a person should know of primitives of which nothing is there.
+    notes: Vec<String>,
 }
 
 impl Reader<'_> {
@@ -219,9 +230,11 @@ impl Reader<'_> {
         }
         let own = |name: &str| format!("{EXTENSION}:{name}");
         let (positions, _) = self.attribute(primitive, "POSITION", &["VEC3"])?;
-        let count = positions.len() / 3;
+        let mut count = positions.len() / 3;
         self.count += count;
-        self.limits.gaussians(FORMAT, self.count as u64)?;
+        if count > 0 {
+            self.limits.gaussians(FORMAT, self.count as u64)?;
+        }
         let (rotations, _) = self.attribute(primitive, &own("ROTATION"), &["VEC4"])?;
         let (scales, _) = self.attribute(primitive, &own("SCALE"), &["VEC3"])?;
         let mut degree = 0u8;
@@ -252,8 +265,25 @@ impl Reader<'_> {
         }
         let lengths = [(rotations.len(), 4), (scales.len(), 3), (band0.len(), 3), (opacities.len(), 1)];
         let bands_fit = bands.iter().all(|band| band.len() == 3 * count);
-        if lengths.iter().any(|&(length, width)| length != width * count) || !bands_fit {
+        let mut notes = Vec::new();
+        if self.limits.keep_readable {
+            let declared = self.declared(primitive);
+            count = lengths.iter().map(|(length, width)| length / width).min().unwrap_or(0).min(count);
+            let with_bands = bands.iter().map(|band| band.len() / 3).min().unwrap_or(count).min(count);
+            if count < declared {
+                notes.push(format!(
+                    "of {declared} Gaussians the first {count} are there; the rest is left out"
+                ));
+            }
+            if with_bands < count {
+                notes.push(format!("{} Gaussians lack harmonics, which are left out", count - with_bands));
+            }
+        } else if lengths.iter().any(|&(length, width)| length != width * count) || !bands_fit {
             return Err(FORMAT.malformed("attributes", "other counts", format_args!("{count} of each")));
+        }
+        if count == 0 {
+            self.notes.extend(notes);
+            return Ok(());
         }
         let three = |values: &[f32], i: usize| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
         for i in 0..count {
@@ -269,13 +299,22 @@ impl Reader<'_> {
             columns.log_scales.push(scale.map(f32::ln));
             columns.opacity_logits.push(logit(opacities[i].clamp(0.0, 1.0)));
             columns.sh0.push(three(&band0, i));
-            columns.sh_rest.extend(bands.iter().flat_map(|band| three(band, i)));
+            let band = |values: &Vec<f32>| if values.len() < 3 * i + 3 { [0.0; 3] } else { three(values, i) };
+            columns.sh_rest.extend(bands.iter().flat_map(band));
         }
-        self.parts.push((columns.finish(FORMAT, self.limits, Vec::new())?, place));
+        self.parts.push((columns.finish(FORMAT, self.limits, notes)?, place));
         Ok(())
     }
 
-    /// The values of an attribute and how many there are per element.
+    /// The Gaussians that a primitive says it has.
+    fn declared(&self, primitive: &Primitive) -> usize {
+        let accessor =
+            primitive.attributes.get("POSITION").and_then(|&index| self.document.accessors.get(index));
+        accessor.map_or(0, |accessor| accessor.count)
+    }
+
+    /// The values of an attribute and how many there are per element. Where `keep_readable` is set, as many
+    /// elements as there are bytes for.
     fn attribute(
         &self,
         primitive: &Primitive,
@@ -315,9 +354,16 @@ impl Reader<'_> {
         let needed = (accessor.count - 1)
             .checked_mul(stride)
             .and_then(|bytes| bytes.checked_add(accessor.byte_offset)?.checked_add(width * size));
+        let mut count = accessor.count;
         if needed.is_none_or(|needed| needed > bytes.len()) {
-            let needed = needed.unwrap_or(usize::MAX) as u64;
-            return Err(FORMAT.truncated(name, bytes.len() as u64, needed));
+            if !self.limits.keep_readable {
+                let needed = needed.unwrap_or(usize::MAX) as u64;
+                return Err(FORMAT.truncated(name, bytes.len() as u64, needed));
+            }
+            let behind_first =
+                bytes.len().checked_sub(accessor.byte_offset).and_then(|left| left.checked_sub(width * size));
+            count =
+                behind_first.map_or(0, |left| left.checked_div(stride).map_or(count, |n| count.min(n + 1)));
         }
         let scalar = |at: usize| -> f32 {
             let value = match accessor.component_type {
@@ -330,13 +376,13 @@ impl Reader<'_> {
             (value / full).max(if accessor.normalized { -1.0 } else { f32::MIN })
         };
         let element = |i: usize| (0..width).map(move |c| accessor.byte_offset + i * stride + c * size);
-        Ok(((0..accessor.count).flat_map(element).map(scalar).collect(), width))
+        Ok(((0..count).flat_map(element).map(scalar).collect(), width))
     }
 
     /// All primitives as one, each where its nodes put it.
     fn snapshot(self) -> Result<Snapshot, ImportError> {
         let failed = |e: &dyn std::fmt::Display| FORMAT.malformed("nodes", e, "Gaussians that stay finite");
-        let (mut scenes, mut notes) = (Vec::new(), Vec::new());
+        let (mut scenes, mut notes) = (Vec::new(), self.notes);
         for (part, place) in self.parts {
             notes.extend(part.notes);
             let part = Scene::new(vec![part.epoch], 1.0).map_err(|e| failed(&e))?;
@@ -386,112 +432,5 @@ fn similarity(node: &Node) -> Option<Similarity> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
-    use super::*;
-    use crate::scene::{
-        export,
-        import::{ErrorKind, splat},
-    };
-
-    pub fn sample(n: usize) -> Vec<u8> {
-        let epoch = splat::parse(&splat::tests::sample(n), &Limits::default()).unwrap().epoch;
-        export::gltf::encode(&epoch, 0).unwrap()
-    }
-
-    fn nothing(name: &str) -> Result<Vec<u8>, ImportError> {
-        Err(FORMAT.malformed(name, "nothing", "a file"))
-    }
-
-    /// A GLB with another text.
-    fn edited(bytes: &[u8], from: &str, to: &str) -> Vec<u8> {
-        let (text, binary) = json_chunk(bytes).unwrap();
-        let text = std::str::from_utf8(text).unwrap();
-        assert!(text.contains(from), "{from}: {text}");
-        let text = text.replace(from, to);
-        let binary = binary.unwrap();
-        let mut out = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
-        for (kind, chunk) in [(b"JSON", text.as_bytes()), (b"BIN\0", binary)] {
-            out.extend((chunk.len() as u32).to_le_bytes());
-            out.extend(kind);
-            out.extend(chunk);
-        }
-        out
-    }
-
-    #[test]
-    fn nodes_move_what_hangs_on_them() {
-        let bytes = sample(3);
-        let plain = parse(&bytes, nothing, &Limits::default()).unwrap().epoch;
-        let moved = edited(
-            &bytes,
-            r#"{"mesh":0}"#,
-            r#"{"mesh":0,"rotation":[1,0,0,0],"scale":[2,2,2],"translation":[1,0,0]}"#,
-        );
-        let moved = parse(&moved, nothing, &Limits::default()).unwrap().epoch;
-        let (a, b) = (plain.instant(0).gaussians[2], moved.instant(0).gaussians[2]);
-        let [x, y, z] = a.position;
-        assert_eq!(b.position, [2.0 * x + 1.0, -2.0 * y, -2.0 * z]);
-        assert!((b.scale[0] / a.scale[0] - 2.0).abs() < 1e-5);
-        let squeezed = edited(&bytes, r#"{"mesh":0}"#, r#"{"mesh":0,"scale":[1,2,1]}"#);
-        let error = parse(&squeezed, nothing, &Limits::default()).unwrap_err();
-        assert!(error.to_string().contains("transform of node 0"), "{error}");
-    }
-
-    #[test]
-    fn what_contradicts_itself_is_named() {
-        let bytes = sample(3);
-        for (from, to, says) in [
-            (r#""mesh":0"#, r#""mesh":5"#, "no such mesh"),
-            (r#""nodes":[0]"#, r#""nodes":[4]"#, "no such node"),
-            (r#""mesh":0"#, r#""mesh":0,"children":[0]"#, "a tree without end"),
-            (r#""VEC4""#, r#""VEC3""#, "ROTATION"),
-            (r#""count":3"#, r#""count":4"#, "POSITION"),
-            (r#""componentType":5126"#, r#""componentType":9"#, "component type"),
-            (r#""extensionsUsed""#, r#""extensionsRequired":["EXT_x"],"extensionsUsed""#, "EXT_x"),
-        ] {
-            let error = parse(&edited(&bytes, from, to), nothing, &Limits::default()).unwrap_err();
-            assert!(error.to_string().contains(says), "{to}: {error}");
-        }
-        let error = parse(&bytes[..bytes.len() - 9], nothing, &Limits::default()).unwrap_err();
-        assert_eq!(error.kind, ErrorKind::Truncated);
-    }
-    const PLAIN: &[u8] = include_bytes!("../../../tests/compressed/splats.glb");
-    const PACKED: &[u8] = include_bytes!("../../../tests/compressed/packed-splats.glb");
-
-    #[test]
-    fn compressed_gaussians_are_those_that_were_compressed() {
-        let read = |bytes| parse(bytes, nothing, &Limits::default()).unwrap().epoch;
-        let (plain, packed) = (read(PLAIN).instant(0), read(PACKED).instant(0));
-        assert_eq!(plain.gaussians.len(), packed.gaussians.len());
-        for (a, b) in plain.gaussians.iter().zip(&packed.gaussians) {
-            assert_eq!(a.position, b.position);
-            let turn: f32 = a.rotation.iter().zip(b.rotation).map(|(a, b)| a * b).sum();
-            assert!(turn.abs() > 0.999_999, "{:?} {:?}", a.rotation, b.rotation);
-            assert!((a.opacity - b.opacity).abs() < 0.5 / 254.0);
-            for c in 0..3 {
-                assert!((a.scale[c] / b.scale[c] - 1.0).abs() < 1e-3, "{:?} {:?}", a.scale, b.scale);
-                assert!((a.sh0[c] - b.sh0[c]).abs() < 1e-4);
-            }
-        }
-        let rest = plain.sh_rest.iter().zip(&packed.sh_rest);
-        assert!(plain.sh_rest.len() == 9 * 90 && rest.into_iter().all(|(a, b)| (a - b).abs() < 1e-4));
-    }
-
-    #[test]
-    fn what_is_compressed_is_bounded_and_checked() {
-        for (from, to, says) in [
-            ("\"mode\":\"ATTRIBUTES\"", "\"mode\":\"TRIANGLES\"", "byteStride of buffer view 0"),
-            ("\"mode\":\"ATTRIBUTES\"", "\"mode\":\"OTHER\"", "OTHER"),
-            ("\"filter\":\"QUATERNION\"", "\"filter\":\"CUBIC\"", "CUBIC"),
-            ("\"byteLength\":1080,", "\"byteLength\":9,", "byteLength of buffer view 0"),
-            ("\"KHR_mesh_quantization\"", "\"KHR_draco\"", "KHR_draco"),
-        ] {
-            let error = parse(&edited(PACKED, from, to), nothing, &Limits::default()).unwrap_err();
-            assert!(error.to_string().contains(says), "{to}: {error}");
-        }
-        let limits = Limits { max_bytes: PACKED.len() as u64, ..Limits::default() };
-        let error = parse(PACKED, nothing, &limits).unwrap_err();
-        assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
-        assert!(error.to_string().contains("buffer view"), "{error}");
-    }
-}
+#[path = "gltf_splats/tests.rs"]
+pub(super) mod tests;

@@ -141,25 +141,30 @@ pub fn parse_files(
             ([red, green, blue], opacities)
         }
     };
-    let palette = match &meta.harmonics {
-        None => None,
-        Some(p) => {
-            let stated = p.shape(version)?;
-            let pixels = stated.map_or(PALETTE_ROW, |(degree, entries)| {
-                let rows = usize::try_from(entries).unwrap_or(usize::MAX).div_ceil(PALETTE_ROW);
-                rows.saturating_mul(PALETTE_ROW * degree.rest_len() / 3)
-            });
-            // Version 1 states neither degree nor entries: the plane has as many as it has pixels.
-            let most = if version == Version::One { MAX_ENTRIES as usize * 15 } else { pixels };
-            let bytes_of = plane_between("shN", &p.files, 0, pixels, most, &mut file, limits)?;
-            let (degree, entries) = stated.map_or_else(|| bytes_of.entries(), Ok)?;
-            let width = PALETTE_ROW * degree.rest_len() / 3;
-            if bytes_of.width != width {
-                return Err(FORMAT.malformed("width of shN centroids", bytes_of.width, width));
-            }
-            let labels = plane_between("shN", &p.files, 1, count, count, &mut file, limits)?;
-            Some((degree, entries, p.values(version)?, bytes_of, labels))
+    let mut palette_of = |p: &Palette| {
+        let stated = p.shape(version)?;
+        let pixels = stated.map_or(PALETTE_ROW, |(degree, entries)| {
+            let rows = usize::try_from(entries).unwrap_or(usize::MAX).div_ceil(PALETTE_ROW);
+            rows.saturating_mul(PALETTE_ROW * degree.rest_len() / 3)
+        });
+        // Version 1 states neither degree nor entries: the plane has as many as it has pixels.
+        let most = if version == Version::One { MAX_ENTRIES as usize * 15 } else { pixels };
+        let bytes_of = plane_between("shN", &p.files, 0, pixels, most, &mut file, limits)?;
+        let (degree, entries) = stated.map_or_else(|| bytes_of.entries(), Ok)?;
+        let width = PALETTE_ROW * degree.rest_len() / 3;
+        if bytes_of.width != width {
+            return Err(FORMAT.malformed("width of shN centroids", bytes_of.width, width));
         }
+        let labels = plane_between("shN", &p.files, 1, count, count, &mut file, limits)?;
+        Ok((degree, entries, p.values(version)?, bytes_of, labels))
+    };
+    let mut notes = Vec::new();
+    let palette = match meta.harmonics.as_ref().map(&mut palette_of).transpose() {
+        Err(error) if limits.keep_readable => {
+            notes.push(format!("harmonics are left out: {error}"));
+            None
+        }
+        palette => palette?,
     };
 
     let mut columns = Columns::with_capacity(count, palette.as_ref().map_or(ShDegree::ZERO, |p| p.0));
@@ -172,16 +177,24 @@ pub fn parse_files(
         }));
         let s = scale.pixel(i);
         columns.log_scales.push([0, 1, 2].map(|axis| scale_books[axis][usize::from(s[axis])]));
-        let Some(largest) = q[3].checked_sub(252) else {
-            return Err(FORMAT.malformed(format!("rotation mode of Gaussian {i}"), q[3], "252 to 255"));
-        };
         let three = [q[0], q[1], q[2]].map(|u| (f32::from(u) / 255.0 - 0.5) * std::f32::consts::SQRT_2);
-        columns.rotations.push(smallest_three(three, usize::from(largest)));
+        columns.rotations.push(match q[3].checked_sub(252) {
+            Some(largest) => smallest_three(three, usize::from(largest)),
+            // Left out with all that is not finite.
+            None if limits.keep_readable => [f32::NAN; 4],
+            None => {
+                return Err(FORMAT.malformed(format!("rotation mode of Gaussian {i}"), q[3], "252 to 255"));
+            }
+        });
         columns.sh0.push([0, 1, 2].map(|channel| colour_books[channel][usize::from(c[channel])]));
         columns.opacity_logits.push(opacity_book[usize::from(c[3])]);
         if let Some((degree, entries, book, centroids, labels)) = &palette {
             let label = u16::from_le_bytes([labels.pixel(i)[0], labels.pixel(i)[1]]);
             if u64::from(label) >= *entries {
+                if limits.keep_readable {
+                    columns.sh_rest.extend(std::iter::repeat_n(f32::NAN, degree.rest_len()));
+                    continue;
+                }
                 return Err(FORMAT.malformed(
                     format!("palette label of Gaussian {i}"),
                     label,
@@ -196,7 +209,7 @@ pub fn parse_files(
             }
         }
     }
-    Ok(Snapshot { footprint, ..columns.finish(FORMAT, limits, Vec::new())? })
+    Ok(Snapshot { footprint, ..columns.finish(FORMAT, limits, notes)? })
 }
 
 /// Whether JSON bytes look like the metadata of this format.
@@ -336,138 +349,5 @@ impl Plane {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
-    use super::*;
-    use std::io::Write;
-
-    fn webp(width: u32, height: u32, pixel: impl Fn(u32) -> [u8; 4]) -> Vec<u8> {
-        let raw: Vec<u8> = (0..width * height).flat_map(pixel).collect();
-        let mut out = Vec::new();
-        image_webp::WebPEncoder::new(&mut out)
-            .encode(&raw, width, height, image_webp::ColorType::Rgba8)
-            .unwrap();
-        out
-    }
-
-    /// Six Gaussians with a palette of two: metadata and planes.
-    pub fn files() -> Vec<(&'static str, Vec<u8>)> {
-        let book: Vec<f32> = (0..256).map(|i| (i as f32 - 128.0) / 64.0).collect();
-        let meta = serde_json::json!({
-            "version": 2, "count": 6,
-            "means": {"mins": [-1.0, -1.0, -1.0], "maxs": [1.0, 1.0, 1.0], "files": ["l.webp", "u.webp"]},
-            "scales": {"codebook": book, "files": ["s.webp"]},
-            "quats": {"files": ["q.webp"]},
-            "sh0": {"codebook": book, "files": ["c.webp"]},
-            "shN": {"count": 2, "bands": 1, "codebook": book, "files": ["p.webp", "n.webp"]},
-        });
-        vec![
-            ("meta.json", meta.to_string().into_bytes()),
-            ("l.webp", webp(3, 2, |i| [i as u8, 255, 0, 255])),
-            ("u.webp", webp(3, 2, |_| [0, 255, 128, 255])),
-            ("s.webp", webp(3, 2, |i| [i as u8, 0, 128, 255])),
-            ("q.webp", webp(3, 2, |i| [128, 128, 128, 252 + (i % 4) as u8])),
-            ("c.webp", webp(3, 2, |i| [128, 64, 192, 50 * i as u8])),
-            ("p.webp", webp(192, 1, |i| [i as u8, 128, 0, 255])),
-            ("n.webp", webp(3, 2, |i| [(i % 2) as u8, 0, 0, 255])),
-        ]
-    }
-
-    /// The same scene as version 1 writes it, but for its scales and colours.
-    pub fn files_of_version_1() -> Vec<(&'static str, Vec<u8>)> {
-        let meta = serde_json::json!({
-            "means": {"shape": [6, 3], "mins": [-1.0, -1.0, -1.0], "maxs": [1.0, 1.0, 1.0],
-                "files": ["l.webp", "u.webp"]},
-            "scales": {"shape": [6, 3], "mins": [-8.0, -4.0, 0.0], "maxs": [0.0, 0.0, 0.0],
-                "files": ["s.webp"]},
-            "quats": {"shape": [6, 4], "encoding": "quaternion_packed", "files": ["q.webp"]},
-            "sh0": {"shape": [6, 1, 4], "mins": [-1.0, -1.0, -1.0, -6.0], "maxs": [1.0, 1.0, 1.0, 6.0],
-                "files": ["c.webp"]},
-            "shN": {"shape": [6, 9], "mins": -2.0, "maxs": 2.0, "quantization": 8,
-                "files": ["p.webp", "n.webp"]},
-        });
-        let mut files = files();
-        files[0].1 = meta.to_string().into_bytes();
-        files
-    }
-
-    #[test]
-    fn version_1_has_ranges_and_logits() {
-        let read = |files: &[(&str, Vec<u8>)]| {
-            let found = |name: &str| {
-                let file = files.iter().find(|file| file.0 == name);
-                Ok(file.ok_or_else(|| missing(name))?.1.clone())
-            };
-            parse_files(&files[0].1, found, &Limits::default())
-        };
-        let files = files_of_version_1();
-        let s = read(&files).unwrap();
-        let a = s.epoch.attributes();
-        let near = |a: f32, b: f32| assert!((a - b).abs() < 1e-4, "{a} and {b}");
-        near(a.log_scales.frame(0, 6)[5][0], -8.0 + 5.0 / 255.0 * 8.0);
-        near(a.log_scales.frame(0, 6)[5][1], -4.0);
-        near(a.sh0.frame(0, 6)[0][0], 128.0 / 127.5 - 1.0);
-        near(a.opacity_logits.frame(0, 6)[5], 250.0 / 255.0 * 12.0 - 6.0);
-        assert_eq!(a.sh_degree.get(), 1);
-        near(a.sh_rest[9], 3.0 / 255.0 * 4.0 - 2.0);
-        // The positions and turns are those of version 2.
-        let two = parse(&sample(), &Limits::default()).unwrap();
-        assert_eq!(a.positions, two.epoch.attributes().positions);
-        assert_eq!(a.rotations, two.epoch.attributes().rotations);
-        for (from, to, words) in [
-            ("[-1.0,-1.0,-1.0],\"shape\":[6,3]", "[-1.0,-1.0,-1.0]", "means.shape"),
-            ("[-8.0,-4.0,0.0]", "[-8.0]", "scales.mins"),
-            ("\"mins\":-2.0,", "", "shN.mins"),
-        ] {
-            let text = String::from_utf8(files[0].1.clone()).unwrap();
-            assert!(text.contains(from), "{text}");
-            let mut bent = files.clone();
-            bent[0].1 = text.replace(from, to).into_bytes();
-            let error = read(&bent).unwrap_err().to_string();
-            assert!(error.contains(words), "{error}");
-        }
-    }
-
-    /// The same, zipped.
-    pub fn sample() -> Vec<u8> {
-        let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
-        for (name, bytes) in files() {
-            let options = zip::write::SimpleFileOptions::default();
-            zip.start_file(name, options.compression_method(zip::CompressionMethod::Stored)).unwrap();
-            zip.write_all(&bytes).unwrap();
-        }
-        zip.finish().unwrap().into_inner()
-    }
-
-    #[test]
-    fn planes_read_back() {
-        let s = parse(&sample(), &Limits::default()).unwrap();
-        let a = s.epoch.attributes();
-        assert_eq!(a.log_scales.frame(0, 6)[5], [-123.0 / 64.0, -2.0, 0.0]);
-        assert!((a.positions.frame(0, 6)[0][1] - (1f32.exp() - 1.0)).abs() < 1e-6);
-        assert!(a.rotations.frame(0, 6)[2][2] > 0.99);
-        assert_eq!(a.sh_rest[9], (3.0 - 128.0) / 64.0, "second entry starts at pixel 3");
-    }
-
-    #[test]
-    fn metadata_is_read_up_to_a_bound() {
-        let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
-        zip.start_file("meta.json", zip::write::SimpleFileOptions::default()).unwrap();
-        zip.write_all(&vec![b' '; META_BYTES as usize + 1]).unwrap();
-        let bomb = zip.finish().unwrap().into_inner();
-        assert!(bomb.len() < 10_000);
-        let error = parse(&bomb, &Limits::default()).unwrap_err();
-        assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
-        assert!(error.to_string().contains("meta.json: found more bytes; allowed: up to 1048576"), "{error}");
-        let spaces = vec![b' '; META_BYTES as usize + 1];
-        let error = parse_files(&spaces, |_| Ok(Vec::new()), &Limits::default()).unwrap_err();
-        assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
-    }
-
-    #[test]
-    fn names_that_leave_the_folder_are_refused() {
-        let meta = br#"{"version":2,"count":1,"means":{"mins":[0,0,0],"maxs":[0,0,0],"files":["../a"]},
-            "scales":{"codebook":[],"files":[]},"quats":{"files":[]},"sh0":{"codebook":[],"files":[]}}"#;
-        let error = parse_files(meta, |_| Ok(Vec::new()), &Limits::default()).unwrap_err();
-        assert!(error.to_string().contains("plain file name"), "{error}");
-    }
-}
+#[path = "sog/tests.rs"]
+pub(super) mod tests;

@@ -76,7 +76,19 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Snapshot, ImportError> {
         notes.push("harmonics of degree 4 are cut to degree 3".to_owned());
     }
     let footprint = (header.flags & 1 != 0).then_some(Footprint::Compensated);
-    let snapshot = read(&header, &planes).finish(FORMAT, limits, notes)?;
+    let (whole, with_harmonics) = planes.whole(&header);
+    if whole < header.count {
+        notes
+            .push(format!("of {} Gaussians the first {whole} are whole; the rest is left out", header.count));
+    }
+    if with_harmonics < whole {
+        notes.push(format!("{} Gaussians lack harmonics, which are left out", whole - with_harmonics));
+    }
+    if whole == 0 {
+        let allowed = "the planes of positions to rotations, which every Gaussian needs";
+        return Err(FORMAT.malformed("planes", "no Gaussian that is whole", allowed));
+    }
+    let snapshot = read(&header, &planes, whole).finish(FORMAT, limits, notes)?;
     Ok(Snapshot { footprint, ..snapshot })
 }
 
@@ -103,12 +115,28 @@ impl Header {
         Ok(Self { version, count, degree, fraction_bits, flags })
     }
 
+    /// Bytes of each plane.
     fn sizes(&self) -> [u64; 6] {
-        let n = self.count as u64;
-        let degree = u64::from(self.degree);
+        self.widths().map(|width| width as u64 * self.count as u64)
+    }
+
+    /// Bytes of a Gaussian in each plane.
+    fn widths(&self) -> [usize; 6] {
+        let degree = usize::from(self.degree);
         let position = if self.version == 1 { 6 } else { 9 };
         let rotation = if self.version >= 3 { 4 } else { 3 };
-        [position * n, n, 3 * n, 3 * n, rotation * n, ((degree + 1) * (degree + 1) - 1) * 3 * n]
+        [position, 1, 3, 3, rotation, ((degree + 1) * (degree + 1) - 1) * 3]
+    }
+}
+
+impl Planes {
+    /// How many Gaussians are in all planes but that of harmonics, and how many of those in that one too.
+    fn whole(&self, header: &Header) -> (usize, usize) {
+        let Self { positions, alphas, colours, scales, rotations, harmonics } = self;
+        let [others @ .., width] = header.widths();
+        let lengths = [positions, alphas, colours, scales, rotations].map(Vec::len);
+        let whole = lengths.into_iter().zip(others).map(|(length, width)| length / width).min().unwrap_or(0);
+        (whole, harmonics.len().checked_div(width).map_or(whole, |count| count.min(whole)))
     }
 }
 
@@ -137,6 +165,9 @@ fn gzipped(bytes: &[u8], limits: &Limits) -> Result<(Header, Planes, Vec<String>
     let mut plane = |name: &str, size: u64| {
         let mut out = Vec::new();
         let read = (&mut stream).take(size).read_to_end(&mut out);
+        if limits.keep_readable {
+            return Ok(out);
+        }
         read.map_err(|e| FORMAT.malformed(name, e, "an undamaged gzip stream"))?;
         if out.len() as u64 != size {
             return Err(FORMAT.truncated(name, out.len() as u64, size));
@@ -156,6 +187,7 @@ fn gzipped(bytes: &[u8], limits: &Limits) -> Result<(Header, Planes, Vec<String>
     match stream.read(&mut tail) {
         Ok(0) => {}
         Ok(_) => notes.push("bytes after the planes (extensions) are ignored".to_owned()),
+        Err(e) if limits.keep_readable => notes.push(format!("the gzip stream is damaged: {e}")),
         Err(e) => return Err(FORMAT.malformed("gzip trailer", e, "a checksum that agrees")),
     }
     Ok((header, planes, notes))
@@ -195,66 +227,81 @@ fn version_4(bytes: &[u8], limits: &Limits) -> Result<(Header, Planes, Vec<Strin
         let data = usize::try_from(compressed)
             .ok()
             .and_then(|c| bytes.get(offset..offset.checked_add(c)?))
+            .or_else(|| bytes.get(offset..).filter(|_| limits.keep_readable))
             .ok_or_else(|| {
-            let left = bytes.len().saturating_sub(offset);
-            FORMAT.truncated(name, left as u64, compressed).at(offset)
-        })?;
-        *plane = inflate_zstd(name, data, length).map_err(|e| e.at(offset))?;
+                let left = bytes.len().saturating_sub(offset);
+                FORMAT.truncated(name, left as u64, compressed).at(offset)
+            })?;
+        *plane = inflate_zstd(name, data, length, limits.keep_readable).map_err(|e| e.at(offset))?;
         offset += data.len();
     }
     let [positions, alphas, colours, scales, rotations, harmonics] = planes;
     Ok((header, Planes { positions, alphas, colours, scales, rotations, harmonics }, Vec::new()))
 }
 
-fn inflate_zstd(name: &str, data: &[u8], length: u64) -> Result<Vec<u8>, ImportError> {
+/// The bytes of a plane; with `keeps` those before what is damaged.
+fn inflate_zstd(name: &str, data: &[u8], length: u64, keeps: bool) -> Result<Vec<u8>, ImportError> {
     let damaged = |e: std::io::Error| FORMAT.malformed(name, e, "an undamaged zstd stream");
-    if length == 0 {
+    if length == 0 || (keeps && data.is_empty()) {
         return Ok(Vec::new());
     }
     let mut out = Vec::new();
     let mut decoder = zstd::stream::read::Decoder::new(data).map_err(damaged)?;
     // A window larger than the limits on a plane is of no use and costs memory.
     decoder.window_log_max(27).map_err(damaged)?;
-    decoder.take(length + 1).read_to_end(&mut out).map_err(damaged)?;
+    let read = decoder.take(length + 1).read_to_end(&mut out);
+    if keeps {
+        out.truncate(usize::try_from(length).unwrap_or(usize::MAX));
+        return Ok(out);
+    }
+    read.map_err(damaged)?;
     if out.len() as u64 != length {
         return Err(FORMAT.truncated(name, out.len() as u64, length));
     }
     Ok(out)
 }
 
-fn read(header: &Header, planes: &Planes) -> Columns {
+/// The first `count` Gaussians, of which the planes hold as many.
+fn read(header: &Header, planes: &Planes, count: usize) -> Columns {
     let degree = ShDegree::new(header.degree.min(3)).unwrap_or(ShDegree::MAX);
-    let stored = planes.harmonics.len() / header.count;
-    let mut c = Columns::with_capacity(header.count, degree);
+    let stored = header.widths()[5];
+    let mut c = Columns::with_capacity(count, degree);
     if header.version == 1 {
         let half = |at: &[u8], axis: usize| f16::from_bits(u16_at(at, axis * 2).unwrap_or(0)).to_f32();
-        c.positions.extend(planes.positions.chunks_exact(6).map(|p| [half(p, 0), half(p, 1), half(p, 2)]));
+        c.positions.extend(
+            planes.positions.chunks_exact(6).take(count).map(|p| [half(p, 0), half(p, 1), half(p, 2)]),
+        );
     } else {
         let step = 1.0 / (1u32 << header.fraction_bits) as f32;
         let fixed = |b: &[u8]| (i32::from_le_bytes([0, b[0], b[1], b[2]]) >> 8) as f32 * step;
-        let points = planes.positions.chunks_exact(9);
+        let points = planes.positions.chunks_exact(9).take(count);
         c.positions.extend(points.map(|p| [fixed(&p[..3]), fixed(&p[3..6]), fixed(&p[6..])]));
     }
-    c.opacity_logits.extend(planes.alphas.iter().map(|&a| logit(f32::from(a) / 255.0)));
+    c.opacity_logits.extend(planes.alphas.iter().take(count).map(|&a| logit(f32::from(a) / 255.0)));
     let colour = |u: u8| (f32::from(u) / 255.0 - 0.5) / COLOUR_SCALE;
-    c.sh0.extend(planes.colours.chunks_exact(3).map(|v| [colour(v[0]), colour(v[1]), colour(v[2])]));
+    c.sh0.extend(
+        planes.colours.chunks_exact(3).take(count).map(|v| [colour(v[0]), colour(v[1]), colour(v[2])]),
+    );
     let scale = |u: u8| f32::from(u) / 16.0 - 10.0;
-    c.log_scales.extend(planes.scales.chunks_exact(3).map(|v| [scale(v[0]), scale(v[1]), scale(v[2])]));
+    c.log_scales
+        .extend(planes.scales.chunks_exact(3).take(count).map(|v| [scale(v[0]), scale(v[1]), scale(v[2])]));
     if header.version >= 3 {
-        let words = planes.rotations.chunks_exact(4);
+        let words = planes.rotations.chunks_exact(4).take(count);
         c.rotations.extend(words.map(|b| unpack_rotation(u32::from_le_bytes([b[0], b[1], b[2], b[3]]))));
     } else {
         c.rotations.extend(
             planes
                 .rotations
                 .chunks_exact(3)
+                .take(count)
                 .map(|b| smallest_three([b[0], b[1], b[2]].map(|u| f32::from(u) / 127.5 - 1.0), 0)),
         );
     }
     if stored > 0 {
-        for values in planes.harmonics.chunks_exact(stored) {
+        for values in planes.harmonics.chunks_exact(stored).take(count) {
             c.sh_rest.extend(values[..degree.rest_len()].iter().map(|&u| (f32::from(u) - 128.0) / 128.0));
         }
+        c.sh_rest.resize(count * degree.rest_len(), 0.0);
     }
     c
 }
@@ -319,6 +366,35 @@ pub(super) mod tests {
             assert!(s.notes[1].contains("antialiasing"), "{:?}", s.notes);
             assert_eq!(s.footprint, Some(Footprint::Compensated));
         }
+    }
+
+    #[test]
+    fn what_is_whole_is_kept() {
+        let (plain, keep) = (Limits::default(), Limits { keep_readable: true, ..Limits::default() });
+        let epoch = crate::scene::export::tests::epoch(500, 3);
+        let whole = crate::scene::export::spz::encode(&epoch, 0, &Default::default()).unwrap();
+        let read = parse(&whole, &keep).unwrap();
+        assert_eq!(read, parse(&whole, &plain).unwrap(), "nothing is damaged");
+        let mut kept = Vec::new();
+        for share in [99, 60, 20] {
+            let cut = &whole[..whole.len() * share / 100];
+            assert!(parse(cut, &plain).is_err());
+            let Ok(part) = parse(cut, &keep) else { continue };
+            let (a, b) = (part.epoch.attributes(), read.epoch.attributes());
+            let n = part.epoch.count();
+            assert_eq!(a.positions.frame(0, n), &b.positions.frame(0, 500)[..n]);
+            assert_eq!(a.rotations.frame(0, n), &b.rotations.frame(0, 500)[..n]);
+            assert_eq!(a.sh_rest[..45], b.sh_rest[..45], "{share} %");
+            assert!(a.sh_rest.ends_with(&[0.0; 45]), "{share} %");
+            assert!(part.notes.iter().any(|note| note.contains("lack harmonics")), "{:?}", part.notes);
+            kept.push(n);
+        }
+        assert_eq!(kept, [500, 500], "of the first fifth not one is whole");
+        let mut trailer = sample(3);
+        let at = trailer.len() - 8;
+        trailer[at] ^= 1;
+        assert!(parse(&trailer, &plain).is_err());
+        assert!(parse(&trailer, &keep).unwrap().notes[0].contains("gzip stream is damaged"));
     }
 
     #[test]

@@ -1,0 +1,133 @@
+//! Tests of the reader of glTF of Gaussians.
+
+use super::*;
+use crate::scene::{
+    export,
+    import::{ErrorKind, splat},
+};
+
+pub fn sample(n: usize) -> Vec<u8> {
+    let epoch = splat::parse(&splat::tests::sample(n), &Limits::default()).unwrap().epoch;
+    export::gltf::encode(&epoch, 0).unwrap()
+}
+
+fn nothing(name: &str) -> Result<Vec<u8>, ImportError> {
+    Err(FORMAT.malformed(name, "nothing", "a file"))
+}
+
+/// A GLB with another text.
+fn edited(bytes: &[u8], from: &str, to: &str) -> Vec<u8> {
+    let (text, binary) = json_chunk(bytes, false).unwrap();
+    let text = std::str::from_utf8(text).unwrap();
+    assert!(text.contains(from), "{from}: {text}");
+    let text = text.replace(from, to);
+    let binary = binary.unwrap();
+    let mut out = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
+    for (kind, chunk) in [(b"JSON", text.as_bytes()), (b"BIN\0", binary)] {
+        out.extend((chunk.len() as u32).to_le_bytes());
+        out.extend(kind);
+        out.extend(chunk);
+    }
+    out
+}
+
+#[test]
+fn nodes_move_what_hangs_on_them() {
+    let bytes = sample(3);
+    let plain = parse(&bytes, nothing, &Limits::default()).unwrap().epoch;
+    let moved = edited(
+        &bytes,
+        r#"{"mesh":0}"#,
+        r#"{"mesh":0,"rotation":[1,0,0,0],"scale":[2,2,2],"translation":[1,0,0]}"#,
+    );
+    let moved = parse(&moved, nothing, &Limits::default()).unwrap().epoch;
+    let (a, b) = (plain.instant(0).gaussians[2], moved.instant(0).gaussians[2]);
+    let [x, y, z] = a.position;
+    assert_eq!(b.position, [2.0 * x + 1.0, -2.0 * y, -2.0 * z]);
+    assert!((b.scale[0] / a.scale[0] - 2.0).abs() < 1e-5);
+    let squeezed = edited(&bytes, r#"{"mesh":0}"#, r#"{"mesh":0,"scale":[1,2,1]}"#);
+    let error = parse(&squeezed, nothing, &Limits::default()).unwrap_err();
+    assert!(error.to_string().contains("transform of node 0"), "{error}");
+}
+
+#[test]
+fn what_contradicts_itself_is_named() {
+    let bytes = sample(3);
+    for (from, to, says) in [
+        (r#""mesh":0"#, r#""mesh":5"#, "no such mesh"),
+        (r#""nodes":[0]"#, r#""nodes":[4]"#, "no such node"),
+        (r#""mesh":0"#, r#""mesh":0,"children":[0]"#, "a tree without end"),
+        (r#""VEC4""#, r#""VEC3""#, "ROTATION"),
+        (r#""count":3"#, r#""count":4"#, "POSITION"),
+        (r#""componentType":5126"#, r#""componentType":9"#, "component type"),
+        (r#""extensionsUsed""#, r#""extensionsRequired":["EXT_x"],"extensionsUsed""#, "EXT_x"),
+    ] {
+        let error = parse(&edited(&bytes, from, to), nothing, &Limits::default()).unwrap_err();
+        assert!(error.to_string().contains(says), "{to}: {error}");
+    }
+    let error = parse(&bytes[..bytes.len() - 9], nothing, &Limits::default()).unwrap_err();
+    assert_eq!(error.kind, ErrorKind::Truncated);
+}
+const PLAIN: &[u8] = include_bytes!("../../../../tests/compressed/splats.glb");
+const PACKED: &[u8] = include_bytes!("../../../../tests/compressed/packed-splats.glb");
+
+#[test]
+fn compressed_gaussians_are_those_that_were_compressed() {
+    let read = |bytes| parse(bytes, nothing, &Limits::default()).unwrap().epoch;
+    let (plain, packed) = (read(PLAIN).instant(0), read(PACKED).instant(0));
+    assert_eq!(plain.gaussians.len(), packed.gaussians.len());
+    for (a, b) in plain.gaussians.iter().zip(&packed.gaussians) {
+        assert_eq!(a.position, b.position);
+        let turn: f32 = a.rotation.iter().zip(b.rotation).map(|(a, b)| a * b).sum();
+        assert!(turn.abs() > 0.999_999, "{:?} {:?}", a.rotation, b.rotation);
+        assert!((a.opacity - b.opacity).abs() < 0.5 / 254.0);
+        for c in 0..3 {
+            assert!((a.scale[c] / b.scale[c] - 1.0).abs() < 1e-3, "{:?} {:?}", a.scale, b.scale);
+            assert!((a.sh0[c] - b.sh0[c]).abs() < 1e-4);
+        }
+    }
+    let rest = plain.sh_rest.iter().zip(&packed.sh_rest);
+    assert!(plain.sh_rest.len() == 9 * 90 && rest.into_iter().all(|(a, b)| (a - b).abs() < 1e-4));
+}
+
+#[test]
+fn what_is_compressed_is_bounded_and_checked() {
+    for (from, to, says) in [
+        ("\"mode\":\"ATTRIBUTES\"", "\"mode\":\"TRIANGLES\"", "byteStride of buffer view 0"),
+        ("\"mode\":\"ATTRIBUTES\"", "\"mode\":\"OTHER\"", "OTHER"),
+        ("\"filter\":\"QUATERNION\"", "\"filter\":\"CUBIC\"", "CUBIC"),
+        ("\"byteLength\":1080,", "\"byteLength\":9,", "byteLength of buffer view 0"),
+        ("\"KHR_mesh_quantization\"", "\"KHR_draco\"", "KHR_draco"),
+    ] {
+        let error = parse(&edited(PACKED, from, to), nothing, &Limits::default()).unwrap_err();
+        assert!(error.to_string().contains(says), "{to}: {error}");
+    }
+    let limits = Limits { max_bytes: PACKED.len() as u64, ..Limits::default() };
+    let error = parse(PACKED, nothing, &limits).unwrap_err();
+    assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
+    assert!(error.to_string().contains("buffer view"), "{error}");
+}
+
+#[test]
+fn what_is_there_is_kept() {
+    let epoch = export::tests::epoch(50, 1);
+    let keep = Limits { keep_readable: true, ..Limits::default() };
+    let whole = export::gltf::encode(&epoch, 0).unwrap();
+    // Bands of 3 coefficients of 50 Gaussians come last, 600 bytes each.
+    let cut = |bytes: usize| &whole[..whole.len() - bytes];
+    let part = |bytes: usize| parse(cut(bytes), nothing, &keep).unwrap();
+    for (bytes, count, note) in
+        [(12, 50, "1 Gaussians lack harmonics"), (1800 + 24, 48, "of 50 Gaussians the first 48 are there")]
+    {
+        let error = parse(cut(bytes), nothing, &Limits::default()).unwrap_err();
+        assert_eq!(error.kind, ErrorKind::Truncated, "{error}");
+        let part = part(bytes);
+        assert!(part.notes[0].contains(note), "{:?}", part.notes);
+        assert_eq!(part.epoch.count(), count);
+        let positions = part.epoch.attributes().positions.frame(0, count);
+        assert_eq!(positions, &epoch.attributes().positions.frame(0, 50)[..count]);
+    }
+    assert_eq!(part(12).epoch.attributes().sh_rest[..9], epoch.attributes().sh_rest[..9]);
+    assert_eq!(part(12).epoch.attributes().sh_rest[49 * 9..], [0.0; 9]);
+    assert_eq!(parse(cut(4700), nothing, &keep).unwrap_err().kind, ErrorKind::Empty);
+}
