@@ -139,7 +139,7 @@ pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
         _ => None,
     };
     let mut text = summary(args, &played.report, quality.as_ref());
-    for note in &rounded {
+    if let Some(note) = &rounded {
         text += &format!("  note: {note}\n");
     }
     let damaged = !warnings.is_empty();

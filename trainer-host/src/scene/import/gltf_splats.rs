@@ -266,10 +266,11 @@ impl Reader<'_> {
         let lengths = [(rotations.len(), 4), (scales.len(), 3), (band0.len(), 3), (opacities.len(), 1)];
         let bands_fit = bands.iter().all(|band| band.len() == 3 * count);
         let mut notes = Vec::new();
+        let mut with_bands = count;
         if self.limits.keep_readable {
             let declared = self.declared(primitive);
             count = lengths.iter().map(|(length, width)| length / width).min().unwrap_or(0).min(count);
-            let with_bands = bands.iter().map(|band| band.len() / 3).min().unwrap_or(count).min(count);
+            with_bands = bands.iter().map(|band| band.len() / 3).min().unwrap_or(count).min(count);
             if count < declared {
                 notes.push(format!(
                     "of {declared} Gaussians the first {count} are there; the rest is left out"
@@ -299,7 +300,7 @@ impl Reader<'_> {
             columns.log_scales.push(scale.map(f32::ln));
             columns.opacity_logits.push(logit(opacities[i].clamp(0.0, 1.0)));
             columns.sh0.push(three(&band0, i));
-            let band = |values: &Vec<f32>| if values.len() < 3 * i + 3 { [0.0; 3] } else { three(values, i) };
+            let band = |values: &Vec<f32>| if i < with_bands { three(values, i) } else { [0.0; 3] };
             columns.sh_rest.extend(bands.iter().flat_map(band));
         }
         self.parts.push((columns.finish(FORMAT, self.limits, notes)?, place));
