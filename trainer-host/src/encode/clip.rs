@@ -124,7 +124,7 @@ impl Clip {
         let kept = of_whole.groups().iter().zip(&table.groups).filter_map(|((group, _), utility)| {
             let span = self.kept.renumbered(group.span)?;
             let cell = manifest.cell(span, group.cluster)?;
-            Some((Group { span, ..*group }, GroupUtility { cell: cell.index() as u32, ..utility.clone() }))
+            Some((Group { span, ..*group }, GroupUtility { cell: cell.index() as u32, ..*utility }))
         });
         let (groups, utilities): (Vec<Group>, Vec<GroupUtility>) = kept.unzip();
         debug_assert!(of_part.groups().iter().map(|(group, _)| *group).eq(groups));
