@@ -76,7 +76,7 @@ pub enum Verb {
     Encode(Encode),
     /// Say what a .dgs file holds: manifest, packets, damage.
     Inspect(Inspect),
-    /// Leave packets out of a .dgs file (levels, bytes), cut it in time (frames), or put its packets in order.
+    /// Leave packets out of a .dgs file (levels, bytes), cut it in time (frames), or order its packets.
     ///
     /// Nothing is decoded or coded again. A shorter clip is a whole stream; where packets are left out of it
     /// besides, the manifest still tells of all, and what reads the file says how many packets are missing.
