@@ -16,7 +16,7 @@ pub(crate) type Move = [f64; 3];
 /// The keys that are held.
 #[derive(Debug, Default)]
 pub(crate) struct Flying {
-    held: BTreeSet<char>,
+    down: BTreeSet<char>,
     /// When what is held moved last, seconds.
     then: f64,
 }
@@ -46,34 +46,34 @@ impl Flying {
     /// it is no key to fly by.
     pub fn press(&mut self, text: &str, now: f64) -> Option<Move> {
         let key = key_of(text)?;
-        if self.held.is_empty() {
+        if self.down.is_empty() {
             self.then = now;
         }
-        let is_new = self.held.insert(key);
+        let is_new = self.down.insert(key);
         direction(key).map(|to| to.map(|share| if is_new { share * STEP } else { 0.0 }))
     }
 
     /// A key is let go.
     pub fn release(&mut self, text: &str) {
         if let Some(key) = key_of(text) {
-            self.held.remove(&key);
+            self.down.remove(&key);
         }
     }
 
     /// All keys are let go: without the focus no event says so.
     pub fn stop(&mut self) {
-        self.held.clear();
+        self.down.clear();
     }
 
     /// The move since the last one until `now` seconds, all keys together; none where no key is held.
     pub fn moved(&mut self, now: f64, is_fast: bool) -> Option<Move> {
-        if self.held.is_empty() {
+        if self.down.is_empty() {
             return None;
         }
         let seconds = (now - self.then).clamp(0.0, LONGEST);
         self.then = now;
         let share = SPEED * if is_fast { FASTER } else { 1.0 } * seconds;
-        let all = self.held.iter().copied().filter_map(direction);
+        let all = self.down.iter().copied().filter_map(direction);
         let sum = all.fold([0.0; 3], |sum: Move, to| std::array::from_fn(|axis| sum[axis] + to[axis]));
         Some(sum.map(|axis| axis * share))
     }
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_are_held_together_and_shift_is_faster() {
+    fn keys_are_down_together_and_shift_is_faster() {
         let mut flying = Flying::default();
         assert_eq!(flying.moved(1.0, false), None);
         assert_near(flying.press("w", 2.0), [0.0, 0.0, STEP]);

@@ -29,10 +29,10 @@ pub enum ClipError {
     /// Its profile is `paper`.
     #[error("profile paper codes every epoch as a whole; dgs1 is allowed")]
     Paper,
-    /// No frame of the stream is asked for.
+    /// No frame of the stream is wanted for.
     #[error("frames {}..{} hold none of the stream's {of}", .frames.start, .frames.end)]
     Empty {
-        /// What is asked for.
+        /// What is wanted for.
         frames: Range<u32>,
         /// Frames of the stream.
         of: u32,
@@ -56,14 +56,14 @@ pub enum ClipError {
 pub struct Clip {
     /// The part as a stream.
     pub stream: Stream,
-    /// The frames of the whole that it shows: those asked for, and what shares their windows.
+    /// The frames of the whole that it shows: those wanted for, and what shares their windows.
     pub frames: Range<u32>,
-    kept: Kept,
+    part: Part,
 }
 
 /// What stays, numbered as in the whole stream.
 #[derive(Clone, Debug)]
-struct Kept {
+struct Part {
     epochs: Range<u16>,
     windows: Range<u16>,
     /// Frames of each epoch that stays.
@@ -93,8 +93,8 @@ impl Clip {
             return Err(ClipError::Paper);
         }
         let of = manifest.head().frames;
-        let kept = Kept::of(&manifest, &frames);
-        let shown = kept.frames.first().zip(kept.frames.last()).map(|(first, last)| first.start..last.end);
+        let part = Part::of(&manifest, &frames);
+        let shown = part.frames.first().zip(part.frames.last()).map(|(first, last)| first.start..last.end);
         let shown = shown.filter(|_| !frames.is_empty()).ok_or(ClipError::Empty { frames, of })?;
         let mut packets = Vec::new();
         // The new id of each packet that stays.
@@ -102,7 +102,7 @@ impl Clip {
         for (id, bytes) in stream.packets().iter().enumerate().filter(|(_, bytes)| !bytes.is_empty()) {
             let checked = Checked::without_crc_check(bytes)?;
             let Packet::Slices(slices) = checked.packet() else { continue };
-            if let Some(packet) = kept.packet(slices, packet_id(packets.len())?)? {
+            if let Some(packet) = part.packet(slices, packet_id(packets.len())?)? {
                 ids[id] = Some(packets.len() as u32);
                 packets.push(packet);
             }
@@ -110,8 +110,8 @@ impl Clip {
         let mut repairs: Vec<Repair> =
             manifest.repairs().filter_map(|range| repaired_again(&range, &ids, &packets)).collect();
         parity::append(&mut repairs, &mut packets, &mut Ledger::default())?;
-        let raw = kept.body(&manifest, &repairs, packets.len())?;
-        Ok(Self { stream: Stream::new(raw, packets)?, frames: shown, kept })
+        let raw = part.body(&manifest, &repairs, packets.len())?;
+        Ok(Self { stream: Stream::new(raw, packets)?, frames: shown, part })
     }
 
     /// The utilities of its groups, by `table`, those of `whole`, the stream that it is a part of.
@@ -121,12 +121,12 @@ impl Clip {
     pub fn utilities(&self, whole: &Stream, table: &Table) -> codec_core::Result<Table> {
         let manifest = self.stream.manifest()?;
         let (of_whole, of_part) = (PacketMap::of(whole)?, PacketMap::of(&self.stream)?);
-        let kept = of_whole.groups().iter().zip(&table.groups).filter_map(|((group, _), utility)| {
-            let span = self.kept.renumbered(group.span)?;
+        let part = of_whole.groups().iter().zip(&table.groups).filter_map(|((group, _), utility)| {
+            let span = self.part.renumbered(group.span)?;
             let cell = manifest.cell(span, group.cluster)?;
             Some((Group { span, ..*group }, GroupUtility { cell: cell.index() as u32, ..*utility }))
         });
-        let (groups, utilities): (Vec<Group>, Vec<GroupUtility>) = kept.unzip();
+        let (groups, utilities): (Vec<Group>, Vec<GroupUtility>) = part.unzip();
         debug_assert!(of_part.groups().iter().map(|(group, _)| *group).eq(groups));
         let manifest_crc = codec_simd::crc32(manifest.raw());
         Ok(Table { manifest_crc, groups: utilities, ..table.clone() })
@@ -137,23 +137,23 @@ impl Clip {
 fn repaired_again(range: &Repair, ids: &[Option<u32>], packets: &[Vec<u8>]) -> Option<Repair> {
     let first = range.first_packet as usize;
     let protected = ids.get(first..first + range.packets as usize)?;
-    let kept: Vec<u32> = protected.iter().flatten().copied().collect();
-    let (&first_packet, &last) = (kept.first()?, kept.last()?);
+    let part: Vec<u32> = protected.iter().flatten().copied().collect();
+    let (&first_packet, &last) = (part.first()?, part.last()?);
     let longest = (first_packet..=last).filter_map(|id| packets.get(id as usize)).map(Vec::len).max()?;
     debug_assert!(longest <= MAX_PACKET_BYTES);
-    Some(Repair { first_packet, packets: kept.len() as u32, longest: longest as u16, ..*range })
+    Some(Repair { first_packet, packets: part.len() as u32, longest: longest as u16, ..*range })
 }
 
-impl Kept {
+impl Part {
     fn of(manifest: &Manifest<'_>, frames: &Range<u32>) -> Self {
         let overlaps = |start: u32, count: u32| start < frames.end && frames.start < start + count;
         let (mut epochs, mut windows): (Vec<u16>, Vec<u16>) = (Vec::new(), Vec::new());
-        let mut kept = Vec::new();
+        let mut part = Vec::new();
         for (e, epoch) in (0..).zip(manifest.epochs()).filter(|(_, e)| overlaps(e.first_frame, e.frames)) {
             epochs.push(e);
             if epoch.windows == 0 {
                 let end = frames.end.min(epoch.first_frame + epoch.frames);
-                kept.push(frames.start.max(epoch.first_frame)..end);
+                part.push(frames.start.max(epoch.first_frame)..end);
                 continue;
             }
             let of_epoch = (0..).zip(manifest.windows()).filter(|(_, w)| w.epoch == e);
@@ -163,10 +163,10 @@ impl Kept {
                 let start = shown.map_or(window.first_frame, |shown| shown.start);
                 shown = Some(start..window.first_frame + u32::from(window.frames));
             }
-            kept.extend(shown);
+            part.extend(shown);
         }
         let span = |all: &[u16]| all.first().zip(all.last()).map_or(0..0, |(first, last)| *first..last + 1);
-        Self { epochs: span(&epochs), windows: span(&windows), frames: kept }
+        Self { epochs: span(&epochs), windows: span(&windows), frames: part }
     }
 
     /// What a span of the whole is in the part, if it stays.
@@ -184,16 +184,16 @@ impl Kept {
 
     /// The packet of `slices` as number `id` of the part; none if it brings nothing that stays.
     fn packet(&self, slices: &Slices<'_>, id: PacketId) -> Result<Option<Vec<u8>>, ClipError> {
-        let kept = slices.extents.iter().filter_map(|extent| {
+        let part = slices.extents.iter().filter_map(|extent| {
             let span = self.renumbered(extent.span)?;
             Some(Extent { span, ..*extent })
         });
-        match kept.clone().count() {
+        match part.clone().count() {
             0 => return Ok(None),
             all if all == slices.extents.len() => {}
             _ => return Err(ClipError::Shared { packet: slices.id.get() }),
         }
-        let packet = Slices { id, extents: kept.collect(), body: slices.body };
+        let packet = Slices { id, extents: part.collect(), body: slices.body };
         let mut out = vec![0; packet.wire_len()];
         packet.write(&mut out)?;
         Ok(Some(out))
@@ -337,13 +337,13 @@ mod tests {
         for (kind, frames) in [(SynthKind::Cloth, 13), (SynthKind::Births, 12)] {
             let whole = encoded(kind, frames);
             let of = whole.manifest().unwrap().head().frames;
-            for asked in [0..1, 5..7, 3..of, 0..of] {
-                let clip = Clip::of(&whole, asked.clone()).unwrap();
-                assert!(clip.frames.start <= asked.start && clip.frames.end >= asked.end, "{asked:?}");
+            for wanted in [0..1, 5..7, 3..of, 0..of] {
+                let clip = Clip::of(&whole, wanted.clone()).unwrap();
+                assert!(clip.frames.start <= wanted.start && clip.frames.end >= wanted.end, "{wanted:?}");
                 let manifest = clip.stream.manifest().unwrap();
                 assert_eq!(manifest.head().frames, clip.frames.end - clip.frames.start);
                 let shown = bits(&clip.stream, 0..manifest.head().frames);
-                assert!(shown == bits(&whole, clip.frames.clone()), "{asked:?}");
+                assert!(shown == bits(&whole, clip.frames.clone()), "{wanted:?}");
                 assert!(clip.stream.packets().iter().all(|packet| !packet.is_empty()));
                 assert_eq!(Stream::from_bytes(&clip.stream.to_bytes().unwrap()).unwrap().0, clip.stream);
             }
