@@ -85,8 +85,8 @@ impl FileFormat {
         (self == Self::Gltf).then(|| path.with_extension("bin"))
     }
 
-    /// Frame `t` of `epoch`, which must be below its frame count, as the files at `path` of Gaussians that are
-    /// drawn with `footprint`, as far as the format can say.
+    /// Frame `t` of `epoch`, which must be below its frame count, as the files at `path` of Gaussians that
+    /// are drawn with `footprint`, as far as the format can say.
     ///
     /// # Errors
     /// More Gaussians, or values further apart, than the format holds; a name of a buffer that is no Unicode.

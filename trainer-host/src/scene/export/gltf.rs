@@ -72,7 +72,7 @@ pub fn encode(epoch: &Epoch, t: usize) -> std::io::Result<Vec<u8>> {
 
 /// Frame `t` of `epoch` as the JSON of glTF, and the buffer that it reads from the file `buffer_name` beside
 /// it. `t` must be below the epoch's frame count.
-pub fn encode_apart(epoch: &Epoch, t: usize, buffer_name: &str) -> (Vec<u8>, Vec<u8>) {
+pub(super) fn encode_apart(epoch: &Epoch, t: usize, buffer_name: &str) -> (Vec<u8>, Vec<u8>) {
     let (mut document, buffer) = document(epoch, t);
     document["buffers"][0]["uri"] = json!(uri_of(buffer_name));
     (format!("{document:#}\n").into_bytes(), buffer)

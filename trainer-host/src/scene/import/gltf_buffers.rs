@@ -270,12 +270,12 @@ mod tests {
         for other in ["50%.bin", "%+1", "%ff"] {
             assert_eq!(unescaped(other), None, "{other}");
         }
-        let mut asked = Vec::new();
+        let mut names = Vec::new();
         let read = resource(Format::Gltf, "a%20b", &mut |name: &str| {
-            asked.push(name.to_owned());
+            names.push(name.to_owned());
             if name == "a%20b" { Ok(vec![7]) } else { Err(Format::Gltf.empty("file")) }
         });
-        assert_eq!((read.unwrap(), asked), (vec![7], vec!["a b".to_owned(), "a%20b".to_owned()]));
+        assert_eq!((read.unwrap(), names), (vec![7], vec!["a b".to_owned(), "a%20b".to_owned()]));
     }
 
     #[test]

@@ -369,13 +369,13 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn what_is_whole_is_kept() {
+    fn what_is_whole_is_read() {
         let (plain, keep) = (Limits::default(), Limits { keep_readable: true, ..Limits::default() });
         let epoch = crate::scene::export::tests::epoch(500, 3);
         let whole = crate::scene::export::spz::encode(&epoch, 0, &Default::default()).unwrap();
         let read = parse(&whole, &keep).unwrap();
         assert_eq!(read, parse(&whole, &plain).unwrap(), "nothing is damaged");
-        let mut kept = Vec::new();
+        let mut counts = Vec::new();
         for share in [99, 60, 20] {
             let cut = &whole[..whole.len() * share / 100];
             assert!(parse(cut, &plain).is_err());
@@ -387,9 +387,9 @@ pub(super) mod tests {
             assert_eq!(a.sh_rest[..45], b.sh_rest[..45], "{share} %");
             assert!(a.sh_rest.ends_with(&[0.0; 45]), "{share} %");
             assert!(part.notes.iter().any(|note| note.contains("lack harmonics")), "{:?}", part.notes);
-            kept.push(n);
+            counts.push(n);
         }
-        assert_eq!(kept, [500, 500], "of the first fifth not one is whole");
+        assert_eq!(counts, [500, 500], "of the first fifth not one is whole");
         let mut trailer = sample(3);
         let at = trailer.len() - 8;
         trailer[at] ^= 1;

@@ -109,7 +109,7 @@ fn what_is_compressed_is_bounded_and_checked() {
 }
 
 #[test]
-fn what_is_there_is_kept() {
+fn what_is_there_is_read() {
     let epoch = export::tests::epoch(50, 1);
     let keep = Limits { keep_readable: true, ..Limits::default() };
     let whole = export::gltf::encode(&epoch, 0).unwrap();

@@ -1,7 +1,8 @@
 //! Tests of the reader of SOG.
 
-use super::*;
 use std::io::Write;
+
+use super::*;
 
 fn webp(width: u32, height: u32, pixel: impl Fn(u32) -> [u8; 4]) -> Vec<u8> {
     let raw: Vec<u8> = (0..width * height).flat_map(pixel).collect();
