@@ -1,5 +1,6 @@
 //! Builds the congestion controllers of connections: those of `quinn`, and SCReAM of `emulator-host`.
 
+mod observed;
 mod path_watch;
 mod watched;
 
@@ -14,8 +15,9 @@ use quinn_proto::{
     congestion::{BbrConfig, Controller, ControllerFactory, CubicConfig, NewRenoConfig},
 };
 
+pub(crate) use observed::{Observed, Watch};
 pub(crate) use path_watch::PathWatch;
-pub(crate) use watched::{Factory, Observer, Watched, WatchedFactory};
+pub(crate) use watched::{Factory, Watched, WatchedFactory};
 
 /// What governs how much of a connection may be on its way. `quinn` paces all of them alike: a window is
 /// spread over four fifths of a round trip.
@@ -70,7 +72,7 @@ impl CongestionControl {
 
     /// As [`Self::factory`], each with a [`PathWatch`] of its own.
     pub(crate) fn watched(self, datagram_bytes: u16) -> Factory {
-        Arc::new(WatchedFactory { inner: self.factory(datagram_bytes), observer: PathWatch::default })
+        Arc::new(WatchedFactory { inner: self.factory(datagram_bytes), observer: PathWatch::new })
     }
 }
 
@@ -158,7 +160,7 @@ impl Controller for ScreamController {
 mod tests {
     use std::time::Duration;
 
-    use super::*;
+    use super::{watched::Observer as _, *};
 
     #[test]
     fn what_is_on_its_way_is_what_left_and_was_neither_acknowledged_nor_lost() {
@@ -167,19 +169,47 @@ mod tests {
         let factory = CongestionControl::NewReno.watched(1200);
         let mut controller = factory.build(began, 1200).into_any().downcast::<Watched<PathWatch>>().unwrap();
         let watch = controller.observer.clone();
-        // Two datagrams together, one alone, and an acknowledgement.
+        // Three datagrams, two at one time, and an acknowledgement.
         controller.on_sent(at(1), 1200, 0);
-        controller.on_sent(at(1), 2400, 1);
+        controller.on_sent(at(1), 1200, 1);
         controller.on_sent(at(2), 1000, 2);
         controller.on_sent(at(3), 40, 3);
         assert_eq!(watch.state().in_flight, 3400);
         controller.on_congestion_event(at(40), at(1), false, 1200);
         assert_eq!(watch.state().in_flight, 2200);
-        controller.on_end_acks(at(41), 1000, false, Some(1));
+        controller.observer.on_ack(at(41), at(2), 1000);
+        controller.on_end_acks(at(41), 1000, false, Some(2));
         assert_eq!(watch.state().in_flight, 1000);
+        // What was acknowledged in 40 ms is an estimate of the path.
+        assert!(watch.state().rate.is_some());
         // A copy, as the transport gives it away, is of the same connection.
         let copy = controller.clone_box().into_any().downcast::<Watched<PathWatch>>().unwrap();
         copy.observer.reset_least_rtt(at(50));
         assert_eq!((watch.state().least_rtt, controller.window()), (None, 6000));
+    }
+
+    #[test]
+    fn control_that_was_lost_is_owed_until_it_has_left_again() {
+        let began = Instant::now();
+        let at = |ms| began + Duration::from_millis(ms);
+        let factory = CongestionControl::NewReno.watched(1200);
+        let mut controller = factory.build(began, 1200).into_any().downcast::<Watched<PathWatch>>().unwrap();
+        let watch = controller.observer.clone();
+        // Two datagrams of control, then one of media; another waits in the transport.
+        controller.on_sent(at(1), 1200, 0);
+        controller.on_sent(at(2), 1100, 1);
+        watch.on_control_left(at(3));
+        controller.on_sent(at(4), 1000, 2);
+        watch.set_waiting(900);
+        // The second and the third are lost.
+        controller.observer.on_ack(at(40), at(1), 1200);
+        assert!(!watch.owes_control());
+        controller.on_congestion_event(at(41), at(4), false, 2100);
+        assert!(watch.owes_control());
+        // The media that waits leaves first, an acknowledgement alone counts for nothing, then control leaves.
+        for (bytes, owes) in [(950, true), (50, true), (1100, false)] {
+            controller.on_sent(at(42), bytes, 3);
+            assert_eq!(watch.owes_control(), owes, "{bytes}");
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! Carries sessions of `emulator-host` over QUIC.
 
+mod clock;
 mod congestion;
 pub mod http;
 #[cfg(feature = "moq")]

@@ -12,9 +12,7 @@
 //! One seed gives one run: connection ids and packet numbers come from the seed. Keys differ from run to run,
 //! sizes and times do not.
 
-mod clock;
 mod end;
-mod observer;
 mod receiving;
 mod run;
 mod sending;

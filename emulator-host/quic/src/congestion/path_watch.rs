@@ -1,14 +1,21 @@
-//! Keeps what a server wants to know of the path to a viewer: how much is in flight, and round trips.
+//! Keeps what a server wants to know of the path to a viewer: how much is in flight, round trips, its rate, and
+//! whether what viewers need first was lost.
 
 use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
 
-use super::watched::Observer;
+use emulator_host::{Nanos, Rate};
+use tokio::sync::Notify;
+
+use super::{observed::Observed, watched::Observer};
+use crate::clock::Clock;
 
 /// Packets with nothing but acknowledgements are shorter. They are never in flight: nobody acknowledges them.
 const MIN_BYTES: u64 = 100;
+/// For how long a peer may hold an acknowledgement back (RFC 9000, 18.2).
+const MAX_ACK_DELAY: Nanos = Nanos::from_ms(25);
 
 /// What is known of the path of one connection.
 #[derive(Clone, Copy, Debug, Default)]
@@ -19,64 +26,144 @@ pub(crate) struct PathState {
     pub(crate) newest_rtt: Option<Duration>,
     /// The least of them since [`PathWatch::reset_least_rtt`].
     pub(crate) least_rtt: Option<Duration>,
-    /// When the last packet left, and bytes of all that left together with it.
-    batch: Option<(Instant, u64)>,
+    /// Mean deviation of round trips.
+    pub(crate) rtt_variation: Option<Duration>,
+    /// Estimated rate of the path, once something was acknowledged.
+    pub(crate) rate: Option<Rate>,
+}
+
+#[derive(Debug)]
+struct Known {
+    observed: Observed,
+    newest_rtt: Option<Duration>,
+    least_rtt: Option<Duration>,
     /// When the latest packet of the acknowledgement that is being read was sent.
     acked: Option<Instant>,
     /// Packets sent before this do not count for the least round trip.
     since: Option<Instant>,
+    /// Bytes of media that the transport had and had not sent. They leave before what is in streams.
+    waiting: u64,
+    /// What left until then was control alone; nothing is known before it has all left once.
+    control_until: Option<Nanos>,
+    /// Bytes that leave before what was lost of control has left again.
+    owed: u64,
 }
 
 /// Shared by a controller and whoever asks.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct PathWatch(Arc<Mutex<PathState>>);
+#[derive(Clone, Debug)]
+pub(crate) struct PathWatch {
+    known: Arc<Mutex<Known>>,
+    news: Arc<Notify>,
+}
 
 impl PathWatch {
-    fn lock(&self) -> MutexGuard<'_, PathState> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Nothing seen.
+    pub(crate) fn new() -> Self {
+        let known = Known {
+            observed: Observed::new(Clock::start(), MAX_ACK_DELAY),
+            newest_rtt: None,
+            least_rtt: None,
+            acked: None,
+            since: None,
+            waiting: 0,
+            control_until: None,
+            owed: 0,
+        };
+        Self { known: Arc::new(Mutex::new(known)), news: Arc::default() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Known> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// What is known by now.
     pub(crate) fn state(&self) -> PathState {
-        *self.lock()
+        let known = self.lock();
+        PathState {
+            in_flight: known.observed.in_flight(),
+            newest_rtt: known.newest_rtt,
+            least_rtt: known.least_rtt,
+            rtt_variation: known.newest_rtt.map(|_| Duration::from_nanos(known.observed.variation().0)),
+            rate: known.observed.path_rate(),
+        }
     }
 
     /// The link has changed at `now`: the least round trip is measured anew.
     pub(crate) fn reset_least_rtt(&self, now: Instant) {
-        let mut state = self.lock();
-        (state.least_rtt, state.since) = (None, Some(now));
+        let mut known = self.lock();
+        (known.least_rtt, known.since) = (None, Some(now));
+    }
+
+    /// Ready once something was acknowledged or lost since it was ready last. Dropping the future loses
+    /// nothing.
+    pub(crate) async fn news(&self) {
+        self.news.notified().await;
+    }
+
+    /// Whether the source has too little to send from now on.
+    pub(crate) fn set_source_limited(&self, limited: bool) {
+        self.lock().observed.set_source_limited(limited);
+    }
+
+    /// The transport has `bytes` of media that it has not sent.
+    pub(crate) fn set_waiting(&self, bytes: u64) {
+        self.lock().waiting = bytes;
+    }
+
+    /// What leaves from `now` on may be media; all before was control.
+    pub(crate) fn on_control_left(&self, now: Instant) {
+        let mut known = self.lock();
+        known.control_until = Some(known.observed.clock().nanos(now));
+    }
+
+    /// Whether control was lost and waits to leave again.
+    pub(crate) fn owes_control(&self) -> bool {
+        self.lock().owed > 0
     }
 }
 
 impl Observer for PathWatch {
     fn on_sent(&self, now: Instant, bytes: u64) {
-        let mut state = self.lock();
-        let before = state.batch.filter(|(at, sum)| *at == now && *sum < bytes).map_or(0, |(_, sum)| sum);
-        state.batch = Some((now, bytes));
-        if bytes - before >= MIN_BYTES {
-            state.in_flight += bytes - before;
+        if bytes < MIN_BYTES {
+            return;
         }
+        let mut known = self.lock();
+        let at = known.observed.clock().nanos(now);
+        known.observed.on_sent(bytes, at);
+        known.waiting = known.waiting.saturating_sub(bytes);
+        known.owed = known.owed.saturating_sub(bytes);
     }
 
-    fn on_ack(&self, _now: Instant, sent: Instant, _bytes: u64) {
-        let mut state = self.lock();
-        state.acked = state.acked.max(Some(sent));
+    fn on_ack(&self, now: Instant, sent: Instant, bytes: u64) {
+        let mut known = self.lock();
+        known.acked = known.acked.max(Some(sent));
+        let clock = known.observed.clock();
+        known.observed.on_ack(clock.nanos(sent), bytes, clock.nanos(now));
     }
 
     fn on_end_acks(&self, now: Instant, in_flight: u64) {
-        let mut state = self.lock();
-        state.in_flight = in_flight;
-        if let Some(sent) = state.acked.take() {
+        let mut known = self.lock();
+        let at = known.observed.clock().nanos(now);
+        known.observed.on_end_acks(in_flight, at);
+        if let Some(sent) = known.acked.take() {
             let rtt = now.saturating_duration_since(sent);
-            state.newest_rtt = Some(rtt);
-            if state.since.is_none_or(|since| sent >= since) {
-                state.least_rtt = Some(state.least_rtt.map_or(rtt, |least| least.min(rtt)));
+            known.newest_rtt = Some(rtt);
+            if known.since.is_none_or(|since| sent >= since) {
+                known.least_rtt = Some(known.least_rtt.map_or(rtt, |least| least.min(rtt)));
             }
         }
+        drop(known);
+        self.news.notify_one();
     }
 
     fn on_lost(&self, bytes: u64) {
-        let mut state = self.lock();
-        state.in_flight = state.in_flight.saturating_sub(bytes);
+        let mut known = self.lock();
+        let until = known.control_until.unwrap_or(Nanos::ZERO);
+        let lost = known.observed.on_lost(bytes, until);
+        if lost > 0 {
+            known.owed = known.owed.max(known.waiting) + lost;
+        }
+        drop(known);
+        self.news.notify_one();
     }
 }

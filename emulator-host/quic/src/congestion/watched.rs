@@ -11,7 +11,7 @@ pub(crate) type Factory = Arc<dyn ControllerFactory + Send + Sync>;
 
 /// What follows the packets of one connection; clones share what they saw.
 pub(crate) trait Observer: Clone + Send + Sync + 'static {
-    /// Packets left; `bytes` is the sum of those that left together by `now`.
+    /// Packets of `bytes` in all left together.
     fn on_sent(&self, _now: Instant, _bytes: u64) {}
 
     /// A packet of `bytes` that left at `sent` is acknowledged.

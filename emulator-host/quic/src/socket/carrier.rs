@@ -11,6 +11,7 @@ use super::{
     message::ClientMessage,
     web_socket::{self, Socket, SocketChannel, SocketCloser, SocketWriter},
 };
+use crate::congestion::PathWatch;
 
 /// What a session runs on.
 #[derive(Debug)]
@@ -84,6 +85,31 @@ impl SessionTransport {
         match self {
             Self::Quic(channel) => channel.path(),
             Self::Socket(channel) => channel.path(arrived),
+        }
+    }
+
+    /// What watches the path, where the transport tells of it.
+    pub(super) fn watch(&self) -> Option<PathWatch> {
+        match self {
+            Self::Quic(channel) => channel.watch(),
+            Self::Socket(_) => None,
+        }
+    }
+
+    /// A datagram was handed to the transport.
+    pub(super) fn on_media_taken(&self) {
+        if let Self::Quic(channel) = self
+            && let Some(watch) = channel.watch()
+        {
+            watch.set_waiting(channel.waiting());
+        }
+    }
+
+    /// Ready once the transport has learnt something of the path. Dropping the future loses nothing.
+    pub(super) async fn news(&self) {
+        match self.watch() {
+            Some(watch) => watch.news().await,
+            None => std::future::pending().await,
         }
     }
 

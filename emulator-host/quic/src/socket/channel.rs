@@ -6,6 +6,7 @@ use std::{
 };
 
 use bytes::Bytes;
+use emulator_host::Rate;
 use quinn::{
     Connection, ConnectionError, RecvStream, SendDatagram, SendDatagramError, SendStream, VarInt,
     crypto::rustls::HandshakeData,
@@ -15,6 +16,7 @@ use url::Url;
 use web_transport_proto::{error_from_http3, error_to_http3};
 
 use super::{
+    limits::SEND_BUFFER_BYTES,
     media_streams::{IncomingMedia, OutgoingMedia},
     message::{Refusal, RefusalCode},
     web::{self, Closing, WebClose, WebError, WebSession},
@@ -53,7 +55,11 @@ pub(super) struct Path {
     pub(super) rtt: Duration,
     pub(super) least_rtt: Duration,
     pub(super) newest_rtt: Option<Duration>,
-    /// Bytes of all kinds on their way, if that is known.
+    /// Mean deviation of the round trip, if it is known.
+    pub(super) rtt_variation: Option<Duration>,
+    /// Estimated rate, if something is known of it.
+    pub(super) rate: Option<Rate>,
+    /// Bytes of all kinds on their way, and of media that wait in the transport, if that is known.
     pub(super) in_flight: Option<u64>,
     /// Most bytes on their way, as far as congestion control says.
     pub(super) window_bytes: u64,
@@ -172,10 +178,17 @@ impl Channel {
             rtt: path.rtt,
             least_rtt: known.and_then(|known| known.least_rtt).unwrap_or(path.min_rtt),
             newest_rtt: known.and_then(|known| known.newest_rtt),
-            in_flight: known.map(|known| known.in_flight),
+            rtt_variation: known.and_then(|known| known.rtt_variation),
+            rate: known.and_then(|known| known.rate),
+            in_flight: known.map(|known| known.in_flight + self.waiting()),
             window_bytes: path.cwnd,
             datagram_bytes: u64::from(path.current_mtu),
         }
+    }
+
+    /// Bytes of datagrams that the transport of a server has and has not sent.
+    pub(super) fn waiting(&self) -> u64 {
+        SEND_BUFFER_BYTES.saturating_sub(self.connection.datagram_send_buffer_space()) as u64
     }
 
     /// The emulated link to the peer has changed: its least round trip is measured anew.
@@ -186,7 +199,7 @@ impl Channel {
     }
 
     /// What a server knows of the path; a client watches none.
-    fn watch(&self) -> Option<PathWatch> {
+    pub(super) fn watch(&self) -> Option<PathWatch> {
         let controller =
             self.connection.congestion_state().into_any().downcast::<Watched<PathWatch>>().ok()?;
         Some(controller.observer)

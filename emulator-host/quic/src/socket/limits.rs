@@ -9,7 +9,7 @@ use crate::congestion::CongestionControl;
 
 /// Bytes of datagrams that wait in the transport: two, so that the next leaves as soon as congestion control
 /// and pacing let it, and nothing is queued ahead of the scheduler.
-const SEND_BUFFER_BYTES: usize = 2560;
+pub(super) const SEND_BUFFER_BYTES: usize = 2560;
 /// Bytes of a datagram on the wire before more of the path is known. A packet of 1150 bytes fits.
 const INITIAL_MTU: u16 = 1200;
 /// Bytes of datagrams that wait to be read.
@@ -71,6 +71,9 @@ impl ServerLimits {
             // probe holds them up, by a tenth of a second at 120 kbit/s.
             .mtu_discovery_config(None)
             .datagram_receive_buffer_size(Some(RECEIVE_BUFFER_BYTES / 16))
+            // Datagrams that leave together would be padded to one length, and which was sent when would not be
+            // said. Hardly two ever wait.
+            .enable_segmentation_offload(false)
             .datagram_send_buffer_size(SEND_BUFFER_BYTES)
             .congestion_controller_factory(congestion.watched(INITIAL_MTU))
             .max_idle_timeout(idle_timeout(self.idle));

@@ -47,7 +47,7 @@ pub(super) struct Round {
     heard_at: Nanos,
 }
 
-/// How fast what was sent arrives.
+/// How fast what was sent arrives, for transports that do not tell.
 #[derive(Debug, Default)]
 struct Arrivals {
     rate: DeliveryRate,
@@ -88,11 +88,13 @@ fn facts(carrier: &SessionTransport, arrived: u64, media: u64, estimate: Option<
     let smoothed_rtt = PathFacts::expected_round_trip(smoothed_rtt, newest);
     let window = Rate::over(Volume(path.window_bytes), smoothed_rtt.max(Nanos::from_us(100)));
     PathFacts {
-        rate: estimate.map_or(window, |estimate| estimate.min(window)),
+        rate: path.rate.or(estimate).map_or(window, |estimate| estimate.min(window)),
         smoothed_rtt,
-        // The transport keeps its mean deviation to itself; the part of the round trip above the least it
-        // can be varies.
-        rtt_variation: Nanos((smoothed_rtt - minimum_rtt).0 / 2).max(Nanos::from_ms(1)),
+        // Where the transport does not tell, the part of the round trip above the least it can be varies.
+        rtt_variation: path.rtt_variation.map_or_else(
+            || Nanos((smoothed_rtt - minimum_rtt).0 / 2).max(Nanos::from_ms(1)),
+            |variation| nanos(variation).min(smoothed_rtt),
+        ),
         minimum_rtt,
         // The manifest, too, waits in the queue that media are not to lengthen.
         in_flight: path.in_flight.map_or(media, |all| all.max(media)),
@@ -212,6 +214,14 @@ impl Round {
         self.sender.look(path, now);
     }
 
+    /// The transport has learnt something of the path: before a client has the manifest, and says so, nothing
+    /// else tells how much the path carries.
+    pub(super) fn hear(&mut self, carrier: &SessionTransport) {
+        let arrived = self.outstanding.arrived_bytes();
+        let path = facts(carrier, arrived, self.outstanding.bytes(), self.arrivals.estimate());
+        self.sender.look(path, self.now());
+    }
+
     /// Whether time alone has shown something to be lost.
     pub(super) fn is_due(&self) -> bool {
         self.loss_time() <= self.now()
@@ -223,7 +233,7 @@ impl Round {
     }
 
     /// The next packet to send, if one is worth sending and the path is not full.
-    pub(super) fn next(&mut self) -> Option<(PacketIndex, Bytes)> {
+    pub(super) fn next(&mut self, carrier: &SessionTransport) -> Option<(PacketIndex, Bytes)> {
         let now = self.now();
         self.sender.advance(now);
         if self.sender.full_until(now).is_some() {
@@ -231,6 +241,9 @@ impl Round {
         }
         let packet = self.sender.next(now);
         self.arrivals.idle |= packet.is_none();
+        if let Some(watch) = carrier.watch() {
+            watch.set_source_limited(packet.is_none());
+        }
         let packet = packet?;
         Some((packet, self.content.packet(&self.graph, packet)))
     }
@@ -240,9 +253,7 @@ impl Round {
         let now = self.now();
         self.outstanding.on_sent(&mut self.sender, packet, now);
         let media = self.outstanding.bytes();
-        // What the transport has taken may not have left.
-        let bytes = u64::from(self.graph.packets()[packet.at()].wire_bytes);
-        let all = carrier.path(0).in_flight.map_or(media, |all| (all + bytes).max(media));
+        let all = carrier.path(0).in_flight.map_or(media, |all| all.max(media));
         self.sender.on_datagram_sent(all, now);
     }
 

@@ -264,6 +264,7 @@ impl<'s> Viewer<'s> {
                         return End::Refused(Refusal { code: RefusalCode::Message, sentence });
                     }
                 },
+                () = carrier.news() => self.round.hear(carrier),
                 datagram = carrier.read() => match datagram {
                     Ok(datagram) => if let Err(refusal) = self.on_datagram(&datagram) {
                         return End::Refused(refusal);
@@ -280,11 +281,14 @@ impl<'s> Viewer<'s> {
         }
     }
 
-    /// Whether the manifest is on its way and the early packets are not used up.
+    /// Whether the manifest is on its way, nothing of it waits to be sent again, and the early packets are not used up.
     fn may_send(&mut self) -> bool {
         let (before, bytes) = self.manifest;
         let left = self.carrier.sent_bytes() - before >= bytes;
         if left && !std::mem::replace(&mut self.manifest_left, true) {
+            if let Some(watch) = self.carrier.watch() {
+                watch.on_control_left(Instant::now());
+            }
             // It counts against the queue that media may cause.
             self.round.settle(self.carrier);
         }
@@ -292,12 +296,14 @@ impl<'s> Viewer<'s> {
         let now = self.began.elapsed();
         let widest = super::served_stream::MAX_MEDIA_BYTES as f64;
         let granted = self.rate.as_mut().is_none_or(|rate| rate.wait(widest, now).is_zero());
-        left && early && granted
+        // Datagrams leave before what is in streams, and without the manifest they show nothing.
+        let owes = self.tally.receipts == 0 && self.carrier.watch().is_some_and(|watch| watch.owes_control());
+        left && early && granted && !owes
     }
 
     /// The packet that leaves as soon as there is room.
     fn pull(&mut self) -> Option<Sending<'s>> {
-        let (packet, bytes) = self.round.next()?;
+        let (packet, bytes) = self.round.next(self.carrier)?;
         let now = self.began.elapsed();
         if let Some(rate) = &mut self.rate {
             rate.take(bytes.len() as f64, now);
@@ -310,6 +316,7 @@ impl<'s> Viewer<'s> {
     /// The packet that waited has left.
     fn on_datagram_sent(&mut self, sending: &mut Option<Sending<'s>>) {
         let Some(left) = sending.take() else { return };
+        self.carrier.on_media_taken();
         self.tally.packets += 1;
         self.tally.media_bytes += left.bytes;
         self.datagrams.add(1.0);

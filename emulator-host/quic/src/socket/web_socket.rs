@@ -133,6 +133,8 @@ impl SocketChannel {
             rtt,
             least_rtt,
             newest_rtt: None,
+            rtt_variation: None,
+            rate: None,
             in_flight: None,
             window_bytes,
             datagram_bytes: DATAGRAM_BYTES,

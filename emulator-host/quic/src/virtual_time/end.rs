@@ -18,11 +18,12 @@ use quinn_proto::{
 
 use super::{
     VirtualError,
-    clock::Clock,
-    observer::Watch,
     tls::{self, Tls},
 };
-use crate::congestion::{CongestionControl, Factory, WatchedFactory};
+use crate::{
+    clock::Clock,
+    congestion::{CongestionControl, Factory, Watch, WatchedFactory},
+};
 
 /// Bytes of a connection id.
 const ID_BYTES: usize = 8;

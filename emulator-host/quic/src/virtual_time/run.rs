@@ -10,12 +10,14 @@ use emulator_host::{
 
 use super::{
     VirtualError,
-    clock::Clock,
     end::{self, DATAGRAM_OVERHEAD, End},
-    observer::{Observed, Watch},
     receiving::Receiving,
     sending::Sending,
     wire::Wire,
+};
+use crate::{
+    clock::Clock,
+    congestion::{Observed, Watch},
 };
 
 /// Longest time for a handshake.

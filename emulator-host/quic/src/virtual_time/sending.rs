@@ -8,7 +8,8 @@ use emulator_host::{
 };
 use quinn_proto::{Connection, ConnectionStats, Dir, FrameStats, StreamId};
 
-use super::{clock::Clock, end::End, observer::Watch};
+use super::end::End;
+use crate::{clock::Clock, congestion::Watch};
 
 /// A receipt leaves so long after what it reports at the latest.
 const RECEIPT_DELAY: Nanos = Nanos::from_ms(25);

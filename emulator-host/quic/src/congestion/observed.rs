@@ -11,8 +11,8 @@ use emulator_host::{
     congestion::{DeliveryRate, DeliverySample, Rtt},
 };
 
-use super::clock::Clock;
-use crate::congestion::Observer;
+use super::watched::Observer;
+use crate::clock::Clock;
 
 /// Time for which an unacknowledged packet is remembered.
 const MEMORY: Nanos = Nanos::from_s(10);
@@ -32,7 +32,7 @@ struct Sent {
 
 /// What was seen. The rate of the path is estimated as in the model.
 #[derive(Debug)]
-pub(super) struct Observed {
+pub(crate) struct Observed {
     clock: Clock,
     sent: VecDeque<Sent>,
     in_flight: u64,
@@ -47,7 +47,7 @@ pub(super) struct Observed {
 }
 
 impl Observed {
-    pub(super) fn new(clock: Clock, max_ack_delay: Nanos) -> Self {
+    pub(crate) fn new(clock: Clock, max_ack_delay: Nanos) -> Self {
         Self {
             clock,
             sent: VecDeque::new(),
@@ -64,13 +64,13 @@ impl Observed {
     }
 
     /// Time counts by `clock` from now on; what is known of the round trip stays.
-    pub(super) fn restart(&mut self, clock: Clock, max_ack_delay: Nanos) {
+    pub(crate) fn restart(&mut self, clock: Clock, max_ack_delay: Nanos) {
         let (rtt, in_flight) = (self.rtt.clone(), self.in_flight);
         *self = Self { rtt, in_flight, ..Self::new(clock, max_ack_delay) };
     }
 
     /// An ack-eliciting packet has left.
-    pub(super) fn on_sent(&mut self, bytes: u64, now: Nanos) {
+    pub(crate) fn on_sent(&mut self, bytes: u64, now: Nanos) {
         if self.in_flight == 0 {
             self.first_sent_at = now;
             self.delivered_at = now;
@@ -87,36 +87,41 @@ impl Observed {
     }
 
     /// Whether the source has too little to send from now on.
-    pub(super) fn set_source_limited(&mut self, limited: bool) {
+    pub(crate) fn set_source_limited(&mut self, limited: bool) {
         self.source_limited = limited;
     }
 
     /// Whether something was acknowledged or lost since the last question.
-    pub(super) fn take_news(&mut self) -> bool {
+    pub(crate) fn take_news(&mut self) -> bool {
         std::mem::take(&mut self.news)
     }
 
     /// UDP payload bytes in flight.
-    pub(super) fn in_flight(&self) -> u64 {
+    pub(crate) fn in_flight(&self) -> u64 {
         self.in_flight
     }
 
     /// Mean deviation of the round trip.
-    pub(super) fn variation(&self) -> Nanos {
+    pub(crate) fn variation(&self) -> Nanos {
         self.rtt.variation()
     }
 
     /// The newest round trip; zero before the first.
-    pub(super) fn newest_round_trip(&self) -> Nanos {
+    pub(crate) fn newest_round_trip(&self) -> Nanos {
         self.rtt.latest()
     }
 
     /// Estimated rate of the path.
-    pub(super) fn path_rate(&self) -> Option<Rate> {
+    pub(crate) fn path_rate(&self) -> Option<Rate> {
         self.path.estimate()
     }
 
-    fn on_ack(&mut self, sent_at: Nanos, bytes: u64, now: Nanos) {
+    /// The clock of the times that it takes.
+    pub(crate) fn clock(&self) -> Clock {
+        self.clock
+    }
+
+    pub(crate) fn on_ack(&mut self, sent_at: Nanos, bytes: u64, now: Nanos) {
         self.delivered += bytes;
         self.delivered_at = now;
         // Packets of one instant and size are alike, so any of them stands for the one that was meant.
@@ -129,7 +134,7 @@ impl Observed {
         }
     }
 
-    fn on_end_acks(&mut self, in_flight: u64, now: Nanos) {
+    pub(crate) fn on_end_acks(&mut self, in_flight: u64, now: Nanos) {
         self.in_flight = in_flight;
         self.news = true;
         while self.sent.front().is_some_and(|sent| sent.at + MEMORY < now) {
@@ -146,22 +151,31 @@ impl Observed {
         }
     }
 
-    fn on_lost(&mut self, bytes: u64) {
+    /// Packets of `bytes` in all are lost; of those, `bytes` that left at `until` or before. Whatever left
+    /// before one that is lost and is not acknowledged is lost with it (RFC 9002, 6.1).
+    pub(crate) fn on_lost(&mut self, bytes: u64, until: Nanos) -> u64 {
         self.in_flight = self.in_flight.saturating_sub(bytes);
         self.news = true;
+        let (mut left, mut early) = (bytes, 0);
+        while let Some(sent) = self.sent.front().copied().filter(|sent| sent.bytes <= left) {
+            self.sent.pop_front();
+            left -= sent.bytes;
+            early += if sent.at <= until { sent.bytes } else { 0 };
+        }
+        early
     }
 }
 
 /// What was seen, for the controller and for the sender.
 #[derive(Clone, Debug)]
-pub(super) struct Watch(Arc<Mutex<Observed>>);
+pub(crate) struct Watch(Arc<Mutex<Observed>>);
 
 impl Watch {
-    pub(super) fn new(observed: Observed) -> Self {
+    pub(crate) fn new(observed: Observed) -> Self {
         Self(Arc::new(Mutex::new(observed)))
     }
 
-    pub(super) fn look(&self) -> MutexGuard<'_, Observed> {
+    pub(crate) fn look(&self) -> MutexGuard<'_, Observed> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -180,6 +194,6 @@ impl Observer for Watch {
     }
 
     fn on_lost(&self, bytes: u64) {
-        self.look().on_lost(bytes);
+        self.look().on_lost(bytes, Nanos::ZERO);
     }
 }
