@@ -244,6 +244,50 @@ fn a_publisher_that_starts_again_is_gone_on_with_and_one_that_does_not_is_missed
     });
 }
 
+/// Windows of a second come one by one; who comes late begins with the newest, and sees what comes after it.
+#[test]
+fn a_stream_is_published_while_it_is_made_and_who_joins_late_sees_its_newest_end() {
+    with_relay(async |relay| {
+        let map = PacketMap::of(stream()).unwrap();
+        let there = |windows: u32| {
+            // What comes later is there, too: it is the newest window that says what is whole.
+            (pipeline::graph(stream(), &map, None).unwrap(), (windows - 1) * 30)
+        };
+        let (graph, newest) = there(1);
+        let (offer, feed) = ServedStream::live("live", stream(), graph, newest).unwrap();
+        let (stop, stopped) = oneshot::channel::<()>();
+        let config = PublishConfig::new(address(relay.port), Trust::Pin(relay.pin));
+        let task =
+            tokio::spawn(
+                async move { publish(&config, &[offer], async { drop(stopped.await) }, |_| ()).await },
+            );
+        let config = ClientConfig { duration: None, ..subscriber(relay, relay.port) };
+        let (mut at_first, mut at_late) = (Decoding::default(), Decoding::default());
+        let making = async {
+            for windows in 2..=3 {
+                sleep(Duration::from_secs(1)).await;
+                let (graph, newest) = there(windows);
+                feed.renew(stream(), graph, newest).unwrap();
+            }
+        };
+        let late = async {
+            sleep(Duration::from_millis(1500)).await;
+            play(&config, &mut at_late, std::future::pending()).await.whole().unwrap()
+        };
+        let (first, late, ()) =
+            tokio::join!(play(&config, &mut at_first, std::future::pending()), late, making);
+        let first = first.whole().unwrap();
+        for (report, screen, begins) in [(&first, &at_first, 0), (&late, &at_late, 30)] {
+            assert_eq!(screen.frames, (begins..90).collect::<Vec<_>>(), "{report:?}");
+            assert!(report.startup_reached && report.base_miss_rate < 0.05, "{report:?}");
+            assert_eq!((report.refused, report.connections), (0, 1), "{report:?}");
+        }
+        stop.send(()).unwrap();
+        let report = task.await.unwrap().unwrap();
+        assert_eq!(report.broadcasts[0].windows, 3, "each once: {report:?}");
+    });
+}
+
 #[test]
 fn who_relays_is_checked() {
     with_relay(async |relay| {

@@ -26,9 +26,9 @@ pub struct Serve {
     /// a stream from standard input, called `live`, served while it is written.
     #[arg(required = true, value_name = "STREAM|SCENE|-")]
     pub inputs: Vec<String>,
-    /// Publish at a relay of Media over QUIC instead, for all who play the same address, again and again:
-    /// `moq+https://HOST[:PORT][/NAME][#PIN]`; without a name each stream is called as here. In builds with
-    /// `--features moq`.
+    /// Publish at a relay of Media over QUIC instead, for all who play the same address, again and again, and
+    /// `-` window by window as it comes, once: `moq+https://HOST[:PORT][/NAME][#PIN]`; without a name each
+    /// stream is called as here. In builds with `--features moq`.
     #[arg(
         long, value_name = "URL",
         conflicts_with_all = [

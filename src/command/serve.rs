@@ -124,9 +124,6 @@ fn publish(args: &Serve, relay: &Locator, quiet: Quiet) -> Result<VerbOutput> {
     if relay.scheme != Scheme::Moq {
         bail!("--moq is {relay}; the address of a relay begins with moq+https://");
     }
-    if args.inputs.iter().any(|input| input == LIVE_INPUT) {
-        bail!("{LIVE_INPUT} is not published while it is written; --moq takes streams that have an end");
-    }
     let trust = trust(relay, args.pin, args.ca.as_ref())?;
     let mut warnings = Vec::new();
     let offers = offers(args, quiet, &mut warnings)?;

@@ -5,7 +5,9 @@
 //! copies groups; where a subscriber's path is too narrow, those of high levels are cut short. `SESSION.md`,
 //! section 8, defines tracks and numbers. The protocol itself is `moq-net`'s, over WebTransport by `quinn`.
 
+mod broadcast;
 mod channel;
+mod growing;
 mod numbering;
 mod player;
 mod publisher;
@@ -15,6 +17,6 @@ mod tests;
 mod track;
 mod units;
 
-pub use channel::{BroadcastReport, ChannelError};
+pub use broadcast::{BroadcastReport, ChannelError};
 pub use player::play;
 pub use publisher::{PublishConfig, PublishError, PublishEvent, PublishReport, publish};

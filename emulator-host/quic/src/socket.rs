@@ -44,9 +44,9 @@ pub use message::{Conditions, Granted, ViewerLink};
 pub(crate) use playback::Playback;
 pub use scheme::Scheme;
 pub use screen::{FrameShown, FrameSink, NullSink, PlayReport, RoundRequest};
-pub use served_stream::{LiveFeed, MAX_MEDIA_BYTES, ServedStream, ServedStreamError};
 #[cfg(feature = "moq")]
-pub(crate) use served_stream::{middle_us, starts};
+pub(crate) use served_stream::{Content, middle_us, starts};
+pub use served_stream::{LiveFeed, MAX_MEDIA_BYTES, ServedStream, ServedStreamError};
 pub use server::{Server, ServerConfig, ServerError, ServerReport};
 pub use settings::{ClientConfig, PlayError};
 pub use viewer::ViewerReport;

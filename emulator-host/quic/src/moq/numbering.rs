@@ -78,6 +78,17 @@ impl Spans {
         round.saturating_mul(self.count()) + (after as u64).saturating_sub(1)
     }
 
+    /// The span of `frame` of a clip that is shown once.
+    pub(super) fn of_frame(&self, frame: u32) -> u64 {
+        (self.firsts.partition_point(|first| *first <= frame) as u64).saturating_sub(1)
+    }
+
+    /// Whether span `number` is of a clip that is shown once: nothing that repeats is in its first round since
+    /// 1970.
+    pub(super) fn is_shown_once(&self, number: u64) -> bool {
+        number < self.count()
+    }
+
     /// The longest span.
     pub(super) fn longest(&self) -> Nanos {
         let ends = self.firsts.iter().skip(1).copied().chain([self.frames]);
@@ -112,8 +123,10 @@ mod tests {
             assert_eq!((spans.at(begins), spans.at(begins + Nanos(600_000_000))), (number, number));
             assert_eq!(spans.at(begins - Nanos(1)), number.saturating_sub(1));
             assert_eq!(spans.first(number), [0, 30, 60][(number % 3) as usize]);
+            assert_eq!(spans.is_shown_once(number), number < 3);
         }
         assert_eq!(spans.longest(), Nanos(33_333_333 * 30));
+        assert_eq!([0, 29, 30, 79].map(|frame| spans.of_frame(frame)), [0, 0, 1, 2]);
         // The last one is shorter: the clip begins again where it ends.
         assert_eq!(spans.begins(3).0 - spans.begins(2).0, 33_333_333 * 20);
     }

@@ -27,6 +27,8 @@ use crate::socket::{
 const MAX_WAITING: usize = 1024;
 /// Groups that are older than the newest by more than this are not wanted, whatever the publisher keeps.
 const MAX_AGE: Duration = Duration::from_secs(30);
+/// Longest time between two looks at whether a stream that grows goes on.
+const NEWEST_INTERVAL: Duration = Duration::from_millis(500);
 /// Groups of one track that are read at once; more wait in the relay.
 const MAX_GROUPS: usize = 16;
 
@@ -109,7 +111,8 @@ async fn watch(
     loop {
         playback.show_due(screen)?;
         if playback.is_over() {
-            if !config.loops {
+            // A stream that grows has no begin to go back to.
+            if !config.loops || playback.grows() {
                 return Ok(());
             }
             // Its last frame is shown as long as the others.
@@ -118,7 +121,15 @@ async fn watch(
                 continue;
             }
         }
-        let wake = if has_manifest { playback.next_time().unwrap_or(deadline) } else { deadline };
+        if playback.grows() {
+            // Says so once nobody makes the stream any more.
+            begin(playback, spans.as_ref(), newest)?;
+        }
+        let wake = if has_manifest {
+            playback.next_time().unwrap_or_else(|| Instant::now() + NEWEST_INTERVAL)
+        } else {
+            deadline
+        };
         let arrival = async {
             tokio::select! {
                 arrival = manifests.recv() => arrival,
@@ -132,11 +143,11 @@ async fn watch(
                     screen.manifest(&message);
                     has_manifest = true;
                     spans = playback.player().and_then(windows);
-                    begin(playback, spans.as_ref(), newest);
+                    begin(playback, spans.as_ref(), newest)?;
                 }
                 Some(Arrival::Window(number)) if newest.is_none_or(|newest| newest < number) => {
                     newest = Some(number);
-                    begin(playback, spans.as_ref(), newest);
+                    begin(playback, spans.as_ref(), newest)?;
                 }
                 Some(Arrival::Window(_)) => {}
                 Some(Arrival::Packet(packet)) => {
@@ -160,11 +171,15 @@ fn windows(player: &Player) -> Option<Spans> {
 }
 
 /// Playout that has not begun begins in the window that is shown elsewhere, if what was published last is
-/// the window `newest`.
-fn begin(playback: &mut Playback, spans: Option<&Spans>, newest: Option<u64>) {
-    let (Some(spans), Some(newest)) = (spans, newest) else { return };
+/// the window `newest`; of a stream that grows in that window itself, and again after a pause.
+fn begin(playback: &mut Playback, spans: Option<&Spans>, newest: Option<u64>) -> Result<(), PlayError> {
+    let (Some(spans), Some(newest)) = (spans, newest) else { return Ok(()) };
+    if spans.is_shown_once(newest) {
+        return playback.newest_is_at(spans.middle_us(spans.first(newest)));
+    }
     let now = spans.begins(newest) - LEAD;
     playback.move_start(spans.middle_us(spans.first(spans.at(now))));
+    Ok(())
 }
 
 /// Reads what comes on `track`, for ever.

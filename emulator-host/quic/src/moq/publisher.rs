@@ -1,6 +1,11 @@
-//! Publishes streams to a relay, window after window on the clock of the display, for as long as it is let.
+//! Publishes streams to a relay, window after window on the clock of the display, or as they come, for as
+//! long as it is let.
 
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::{
+    future::poll_fn,
+    task::Poll,
+    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
+};
 
 use emulator_host::Nanos;
 use moq_net::{Client, origin, time};
@@ -8,7 +13,9 @@ use serde::Serialize;
 use tokio::time::{sleep, sleep_until};
 
 use super::{
-    channel::{BroadcastReport, Channel, ChannelError},
+    broadcast::{BroadcastReport, ChannelError},
+    channel::Channel,
+    growing::GrowingChannel,
     numbering::LEAD,
     relay::{Relay, close, origin},
 };
@@ -93,19 +100,26 @@ pub async fn publish(
     news: impl FnMut(&PublishEvent),
 ) -> Result<PublishReport, PublishError> {
     let (origin, driver) = origin();
-    let mut channels = Vec::new();
+    let (mut channels, mut growing) = (Vec::new(), Vec::new());
     for offer in offers {
-        channels.push(Channel::new(&name(config, offer, offers.len())?, offer, &origin)?);
+        let name = name(config, offer, offers.len())?;
+        if offer.grows() {
+            growing.push(GrowingChannel::new(&name, offer, &origin)?);
+        } else {
+            channels.push(Channel::new(&name, offer, &origin)?);
+        }
     }
     let mut report = PublishReport::default();
     let ended = tokio::select! {
         ended = connections(config, &origin, news, &mut report) => ended,
         ended = repeat(&mut channels) => ended,
+        ended = follow(&mut growing) => ended,
         error = time::run(driver) => Err(PlayError::Relay(error.to_string()).into()),
         () = stop => Ok(()),
     };
     ended?;
-    report.broadcasts = channels.into_iter().map(|channel| channel.into_report()).collect();
+    let repeated = channels.iter().map(Channel::report);
+    report.broadcasts = repeated.chain(growing.iter().map(GrowingChannel::report)).collect();
     Ok(report)
 }
 
@@ -158,6 +172,16 @@ impl Drop for OnDrop<'_> {
     fn drop(&mut self) {
         self.0.close(0u32.into(), b"bye");
     }
+}
+
+/// Publishes what comes of streams that grow, for ever.
+async fn follow(growing: &mut [GrowingChannel]) -> Result<(), PublishError> {
+    let mut following: Vec<_> = growing.iter_mut().map(|channel| Box::pin(channel.follow())).collect();
+    let ended = poll_fn(|cx| {
+        let mut ended = following.iter_mut().map(|following| following.as_mut().poll(cx));
+        ended.find(Poll::is_ready).unwrap_or(Poll::Pending)
+    });
+    Ok(ended.await?)
 }
 
 /// Publishes what is due, for ever.

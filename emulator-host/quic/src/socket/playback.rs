@@ -165,6 +165,25 @@ impl Playback {
         Ok(Some(RoundRequest { start_us: self.seen_us, conditions: None }))
     }
 
+    /// Without a server that says where rounds begin: the newest window of a stream that grows is at the time
+    /// `start_us`. Playout that has not begun begins there, and so does one that has run ahead of the stream.
+    ///
+    /// # Errors
+    /// That nobody makes the stream any more.
+    #[cfg(feature = "moq")]
+    pub(crate) fn newest_is_at(&mut self, start_us: u64) -> Result<(), PlayError> {
+        if let Some(request) = self.newest_request()?
+            && start_us >= request.start_us
+        {
+            self.next_round(request)?;
+        }
+        if self.begun {
+            self.move_start(start_us);
+            return Ok(());
+        }
+        self.begin_at(self.round, start_us)
+    }
+
     /// The round begins at the time `start_us` instead, if none of it has been shown.
     pub(crate) fn move_start(&mut self, start_us: u64) {
         if self.receiver.playout_start().is_none() {
@@ -179,7 +198,7 @@ impl Playback {
     }
 
     /// Whether the stream grows.
-    pub(super) fn grows(&self) -> bool {
+    pub(crate) fn grows(&self) -> bool {
         self.grows
     }
 
@@ -412,7 +431,8 @@ impl Playback {
     /// When there is something to show next.
     pub(crate) fn next_time(&self) -> Option<Instant> {
         match self.receiver.next_time() {
-            _ if self.unanswered => None,
+            // Until a newer window comes nothing is shown.
+            _ if self.unanswered || self.ahead_since.is_some() => None,
             Nanos::MAX => None,
             // What is waited for is media.
             _ if self.grows && self.receiver.playout_start().is_none() => None,

@@ -94,6 +94,12 @@ impl Content {
         self.packets.get(graph.wire_id(packet).index()).cloned().unwrap_or_default()
     }
 
+    /// First frame of the newest window of a stream that grows.
+    #[cfg(feature = "moq")]
+    pub(crate) fn newest(&self) -> Option<u32> {
+        self.newest
+    }
+
     /// The graph of all that there is.
     pub(crate) fn graph(&self) -> &PacketGraph {
         &self.whole
@@ -270,6 +276,12 @@ impl ServedStream {
     /// The DGSM message.
     pub(crate) fn message(&self) -> &[u8] {
         &self.message
+    }
+
+    /// Whether more of it comes.
+    #[cfg(feature = "moq")]
+    pub(crate) fn grows(&self) -> bool {
+        self.file.is_none()
     }
 
     /// What there is, now and later.
