@@ -257,21 +257,24 @@ fn a_stream_is_published_while_it_is_made_and_who_joins_late_sees_its_newest_end
         let (offer, feed) = ServedStream::live("live", stream(), graph, newest).unwrap();
         let (stop, stopped) = oneshot::channel::<()>();
         let config = PublishConfig::new(address(relay.port), Trust::Pin(relay.pin));
-        let task =
-            tokio::spawn(
-                async move { publish(&config, &[offer], async { drop(stopped.await) }, |_| ()).await },
-            );
+        let (tell, mut heard) = mpsc::unbounded_channel();
+        let task = tokio::spawn(async move {
+            let news = move |news: &PublishEvent| drop(tell.send(news.clone()));
+            publish(&config, &[offer], async { drop(stopped.await) }, news).await
+        });
+        assert!(matches!(heard.recv().await, Some(PublishEvent::Connected { .. })));
         let config = ClientConfig { duration: None, ..subscriber(relay, relay.port) };
         let (mut at_first, mut at_late) = (Decoding::default(), Decoding::default());
         let making = async {
             for windows in 2..=3 {
-                sleep(Duration::from_secs(1)).await;
+                // A bit earlier than the first viewer needs it.
+                sleep(Duration::from_millis(800)).await;
                 let (graph, newest) = there(windows);
                 feed.renew(stream(), graph, newest).unwrap();
             }
         };
         let late = async {
-            sleep(Duration::from_millis(1500)).await;
+            sleep(Duration::from_millis(1200)).await;
             play(&config, &mut at_late, std::future::pending()).await.whole().unwrap()
         };
         let (first, late, ()) =
