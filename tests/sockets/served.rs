@@ -93,7 +93,7 @@ fn on_a_slow_path_media_neither_overflows_the_queue_nor_holds_up_the_manifest() 
         let lost = viewers[0].packets - report.packets - report.duplicates;
         eprintln!("startup {:?} ms, {lost} of {} lost", report.startup_ms, viewers[0].packets);
         // The initial window may overflow the queue once.
-        assert!(lost <= 8, "{lost} of {} lost", viewers[0].packets);
+        assert!(lost <= 9, "{lost} of {} lost", viewers[0].packets);
     });
 }
 
