@@ -75,8 +75,8 @@ fn a_server_knows_where_a_viewer_is_who_says_so_and_shows_it_all_the_same() {
     });
 }
 
-/// Before a viewer has the manifest no receipt says what arrives, and whatever of it is lost on a slow path leaves
-/// behind media unless that waits for it.
+/// Before a viewer has the manifest no receipt says what arrives, and whatever of it is lost on a slow path
+/// leaves behind media unless that waits for it.
 #[test]
 fn on_a_slow_path_media_neither_overflows_the_queue_nor_holds_up_the_manifest() {
     within(async {
