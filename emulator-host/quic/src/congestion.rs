@@ -206,7 +206,7 @@ mod tests {
         assert!(!watch.owes_control());
         controller.on_congestion_event(at(41), at(4), false, 2100);
         assert!(watch.owes_control());
-        // The media that waits leaves first, an acknowledgement alone counts for nothing, then control leaves.
+        // The media that waits leaves first; an acknowledgement alone counts for nothing.
         for (bytes, owes) in [(950, true), (50, true), (1100, false)] {
             controller.on_sent(at(42), bytes, 3);
             assert_eq!(watch.owes_control(), owes, "{bytes}");

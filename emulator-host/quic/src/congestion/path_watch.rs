@@ -1,5 +1,5 @@
-//! Keeps what a server wants to know of the path to a viewer: how much is in flight, round trips, its rate, and
-//! whether what viewers need first was lost.
+//! Keeps what a server wants to know of the path to a viewer: how much is in flight, round trips, its rate,
+//! and whether what viewers need first was lost.
 
 use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},

@@ -39,7 +39,7 @@ pub struct ChannelError {
 
 /// Which kind of tracks a span is of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum TrackKind {
     Canonical,
     Motion,
 }
@@ -96,14 +96,14 @@ impl Broadcast {
     /// Publishes span `number` as a group on each track of `kind`: per level, its packets.
     pub(super) fn publish(
         &mut self,
-        kind: Kind,
+        kind: TrackKind,
         number: u64,
         levels: &[Vec<Bytes>; LEVELS],
     ) -> Result<(), ChannelError> {
         let refused = |what: String| ChannelError { name: self.report.name.clone(), what };
         let (tracks, at): (_, Nanos) = match kind {
-            Kind::Canonical => (&self.canonical, self.epochs.begins(number)),
-            Kind::Motion => (&self.motion, self.windows.begins(number)),
+            TrackKind::Canonical => (&self.canonical, self.epochs.begins(number)),
+            TrackKind::Motion => (&self.motion, self.windows.begins(number)),
         };
         let stamp = Timestamp::from_millis(at.0 / 1_000_000).map_err(|error| refused(error.to_string()))?;
         for (track, frames) in tracks.iter().zip(levels) {
@@ -112,7 +112,7 @@ impl Broadcast {
             self.report.packets += frames.len() as u64;
             self.report.media_bytes += frames.iter().map(|frame| frame.len() as u64).sum::<u64>();
         }
-        self.report.windows += u64::from(kind == Kind::Motion);
+        self.report.windows += u64::from(kind == TrackKind::Motion);
         Ok(())
     }
 

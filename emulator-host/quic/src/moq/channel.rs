@@ -5,7 +5,7 @@ use emulator_host::{Nanos, PacketIndex};
 use moq_net::origin;
 
 use super::{
-    broadcast::{Broadcast, BroadcastReport, ChannelError, Kind},
+    broadcast::{Broadcast, BroadcastReport, ChannelError, TrackKind},
     units::{Levels, Units},
 };
 use crate::socket::ServedStream;
@@ -55,17 +55,17 @@ impl Channel {
         if self.epoch.is_none_or(|last| last != epoch && !epochs.is_one()) {
             let levels = self.units.canonical.get(epochs.place(epoch));
             let levels = levels.cloned().unwrap_or_default();
-            self.publish(Kind::Canonical, epoch, &levels)?;
+            self.publish(TrackKind::Canonical, epoch, &levels)?;
             self.epoch = Some(epoch);
         }
         let levels = self.units.motion.get(self.broadcast.windows.place(self.next));
         let levels = levels.cloned().unwrap_or_default();
-        self.publish(Kind::Motion, self.next, &levels)?;
+        self.publish(TrackKind::Motion, self.next, &levels)?;
         self.next += 1;
         Ok(())
     }
 
-    fn publish(&mut self, kind: Kind, number: u64, levels: &Levels) -> Result<(), ChannelError> {
+    fn publish(&mut self, kind: TrackKind, number: u64, levels: &Levels) -> Result<(), ChannelError> {
         let bytes = |packet: &PacketIndex| self.packets.get(packet.at()).cloned();
         let levels = levels.each_ref().map(|packets| packets.iter().filter_map(bytes).collect());
         self.broadcast.publish(kind, number, &levels)

@@ -7,7 +7,7 @@ use moq_net::origin;
 use tokio::sync::watch;
 
 use super::{
-    broadcast::{Broadcast, BroadcastReport, ChannelError, Kind},
+    broadcast::{Broadcast, BroadcastReport, ChannelError, TrackKind},
     track::LEVELS,
     units::{Levels, Units},
 };
@@ -59,14 +59,14 @@ impl GrowingChannel {
             let epoch = self.broadcast.epochs.of_frame(self.broadcast.windows.first(self.next));
             if self.epoch != Some(epoch) {
                 let levels = self.take(&content, units.canonical.get(epoch as usize));
-                self.broadcast.publish(Kind::Canonical, epoch, &levels)?;
+                self.broadcast.publish(TrackKind::Canonical, epoch, &levels)?;
                 self.epoch = Some(epoch);
             }
             let mut levels = self.take(&content, units.motion.get(self.next as usize));
             // Attributes may come at any time in their epoch; its groups are closed.
             let late = self.take(&content, units.canonical.get(epoch as usize));
             levels.iter_mut().zip(late).for_each(|(packets, late)| packets.extend(late));
-            self.broadcast.publish(Kind::Motion, self.next, &levels)?;
+            self.broadcast.publish(TrackKind::Motion, self.next, &levels)?;
             self.next += 1;
         }
         Ok(())

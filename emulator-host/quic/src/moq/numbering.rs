@@ -83,8 +83,8 @@ impl Spans {
         (self.firsts.partition_point(|first| *first <= frame) as u64).saturating_sub(1)
     }
 
-    /// Whether span `number` is of a clip that is shown once: nothing that repeats is in its first round since
-    /// 1970.
+    /// Whether span `number` is of a clip that is shown once: nothing that repeats is in its first round
+    /// since 1970.
     pub(super) fn is_shown_once(&self, number: u64) -> bool {
         number < self.count()
     }
