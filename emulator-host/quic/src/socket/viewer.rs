@@ -281,8 +281,8 @@ impl<'s> Viewer<'s> {
         }
     }
 
-    /// Whether the manifest is on its way, nothing of it waits to be sent again, and the early packets are not
-    /// used up.
+    /// Whether the manifest is on its way, nothing of it waits to be sent again, and the early packets are
+    /// not used up.
     fn may_send(&mut self) -> bool {
         let (before, bytes) = self.manifest;
         let left = self.carrier.sent_bytes() - before >= bytes;

@@ -206,9 +206,9 @@ impl<'a> ClusterSymbols<'a> {
                         value *= if dot < 0.0 { -1.0 } else { 1.0 };
                     }
                     let mut rest = value - base;
-                    for level in 1..=3 {
-                        let symbol = self.quantise(rest, steps[level]);
-                        rest -= f64::from(f32::from(symbol) * steps[level]);
+                    for (level, &step) in steps.iter().enumerate().skip(1) {
+                        let symbol = self.quantise(rest, step);
+                        rest -= f64::from(f32::from(symbol) * step);
                         let at = match level {
                             1 => refinement1 + (t * layout::ATTRIBUTES + c) * n + i,
                             _ => (t * (3 + layout::ATTRIBUTES) + 3 + c) * n + i,

@@ -1,9 +1,9 @@
 //! Fewer Gaussians that look alike: neighbours become one where that changes pictures least.
 //!
-//! In each of a few rounds every group of Gaussians, at first each alone, is paired with its
-//! nearest neighbours; pairs are priced, and the cheapest that have no group in common become one each. A group
-//! has the mean and the covariance of its members, weighed by opacity times projected area, the mean of
-//! their colours, harmonics included, and the opacity that keeps the integral of their opacities over the
+//! In each of a few rounds every group of Gaussians, at first each alone, is paired with its nearest
+//! neighbours; pairs are priced, and the cheapest that have no group in common become one each. A group has
+//! the mean and the covariance of its members, weighed by opacity times projected area, the mean of their
+//! colours, harmonics included, and the opacity that keeps the integral of their opacities over the
 //! projected area, at most 1.
 //!
 //! What moves is priced at up to [`FRAMES`] frames, so that what drifts apart stays apart. A group's
