@@ -141,13 +141,14 @@ pub(crate) fn write_pair(path: &Path, bytes: &[u8], beside: (&Path, &[u8])) -> R
 /// work.
 ///
 /// # Errors
-/// As [`check`]; a file that is there, unless `overwrite`; a `path` that is a device or a pipe.
+/// As [`check`]; a file that is there without `path`, so that it is of something else, unless `overwrite`; a
+/// `path` that is a device or a pipe.
 pub(crate) fn check_beside(path: &Path, beside: &Path, overwrite: bool) -> Result<()> {
     if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
         bail!("{}: is no file; a file is needed, as {} goes beside it", path.display(), beside.display());
     }
     check(beside)?;
-    if !overwrite && fs::symlink_metadata(beside).is_ok() {
+    if !overwrite && fs::symlink_metadata(path).is_err() && fs::symlink_metadata(beside).is_ok() {
         bail!("{}: is there, and goes beside {}; --overwrite replaces it", beside.display(), path.display());
     }
     Ok(())

@@ -274,7 +274,8 @@ fn a_stream_is_published_while_it_is_made_and_who_joins_late_sees_its_newest_end
             }
         };
         let late = async {
-            sleep(Duration::from_millis(1200)).await;
+            // Between the second window and the third.
+            sleep(Duration::from_millis(1000)).await;
             play(&config, &mut at_late, std::future::pending()).await.whole().unwrap()
         };
         let (first, late, ()) =

@@ -46,7 +46,7 @@ pub struct Convert {
     /// The frame for a single file [default: 0].
     #[arg(long)]
     pub frame: Option<u32>,
-    /// Replace a folder of frames, or the buffer of a .gltf, that is there already.
+    /// Replace a folder of frames that is there already, or a .bin of something else where a .gltf goes.
     #[arg(long)]
     pub overwrite: bool,
     /// How to read the scene.

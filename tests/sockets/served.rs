@@ -75,28 +75,6 @@ fn a_server_knows_where_a_viewer_is_who_says_so_and_shows_it_all_the_same() {
     });
 }
 
-/// Before a viewer has the manifest no receipt says what arrives, and whatever of it is lost on a slow path
-/// leaves behind media unless that waits for it.
-#[test]
-fn on_a_slow_path_media_neither_overflows_the_queue_nor_holds_up_the_manifest() {
-    within(async {
-        let rate = Rate::from_kbps(120);
-        let path = PathConfig {
-            capacity: Capacity::Constant(rate),
-            queue: QueueLimit::lasting(Nanos::from_ms(250), rate),
-            delay: Nanos::from_ms(40),
-            ..PathConfig::unimpaired()
-        };
-        let server = Running::governed(CongestionControl::NewReno, Impairment { path, seed: 1 });
-        let report = server.play(&server.client()).await.unwrap();
-        let (_, viewers) = server.stop().await;
-        let lost = viewers[0].packets - report.packets - report.duplicates;
-        eprintln!("startup {:?} ms, {lost} of {} lost", report.startup_ms, viewers[0].packets);
-        // The initial window may overflow the queue once.
-        assert!(lost <= 9, "{lost} of {} lost", viewers[0].packets);
-    });
-}
-
 #[test]
 fn a_tenth_lost_still_shows_every_frame_with_nearly_all_bases() {
     within(async {

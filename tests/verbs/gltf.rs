@@ -14,9 +14,14 @@ fn the_buffer_of_a_gltf_is_never_written_over_unasked() {
     assert!(text.contains("wrote mein Fuß #1.gltf and mein Fuß #1.bin: 1000 Gaussians"), "{text}");
     let bytes = |name: &str| fs::read(at.join(name)).unwrap();
     let buffer = bytes("mein Fuß #1.bin");
+    // Both are there: they belong together.
+    ok(at, &["convert", "x.ply", named]);
+    ok(at, &["convert", named, "y.ply"]);
+    // The buffer of something else.
+    fs::rename(at.join(named), at.join("other.gltf")).unwrap();
     assert!(stopped(at, &["convert", "x.ply", named], 1).contains("#1.bin: is there, and goes beside"));
     assert!(stopped(at, &["convert", "none.ply", named], 1).contains("--overwrite replaces it"));
-    ok(at, &["convert", named, "y.ply"]);
+    fs::rename(at.join("other.gltf"), at.join(named)).unwrap();
     assert!(stopped(at, &["convert", named, named, "--overwrite"], 1).contains("is read or written besides"));
     ok(at, &["convert", "y.ply", named, "--overwrite"]);
     assert!(bytes(named).len() > 1000 && bytes("mein Fuß #1.bin").len() == buffer.len());

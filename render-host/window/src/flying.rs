@@ -1,9 +1,11 @@
 //! Flies while keys are held, any of them together.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
 /// Share of the distance that a touch of a key moves at once.
-const STEP: f64 = 0.04;
+const STEP: f64 = 0.08;
+/// Seconds for which a key is held before it flies: a touch moves by one step, however long it lasts.
+const TOUCH: f64 = 0.2;
 /// Shares of the distance that a held key flies in a second, and how many times as many with Shift.
 const SPEED: f64 = 1.5;
 const FASTER: f64 = 3.0;
@@ -16,7 +18,8 @@ pub(crate) type Move = [f64; 3];
 /// The keys that are held.
 #[derive(Debug, Default)]
 pub(crate) struct Flying {
-    down: BTreeSet<char>,
+    /// Since when each is, seconds.
+    down: BTreeMap<char, f64>,
     /// When what is held moved last, seconds.
     then: f64,
 }
@@ -49,7 +52,8 @@ impl Flying {
         if self.down.is_empty() {
             self.then = now;
         }
-        let is_new = self.down.insert(key);
+        let is_new = !self.down.contains_key(&key);
+        self.down.entry(key).or_insert(now);
         direction(key).map(|to| to.map(|share| if is_new { share * STEP } else { 0.0 }))
     }
 
@@ -70,12 +74,15 @@ impl Flying {
         if self.down.is_empty() {
             return None;
         }
-        let seconds = (now - self.then).clamp(0.0, LONGEST);
+        let speed = SPEED * if is_fast { FASTER } else { 1.0 };
+        let mut sum = [0.0; 3];
+        for (&key, &since) in &self.down {
+            let seconds = (now - self.then.max(since + TOUCH)).clamp(0.0, LONGEST);
+            let to = direction(key).unwrap_or_default();
+            sum = std::array::from_fn(|axis| sum[axis] + to[axis] * speed * seconds);
+        }
         self.then = now;
-        let share = SPEED * if is_fast { FASTER } else { 1.0 } * seconds;
-        let all = self.down.iter().copied().filter_map(direction);
-        let sum = all.fold([0.0; 3], |sum: Move, to| std::array::from_fn(|axis| sum[axis] + to[axis]));
-        Some(sum.map(|axis| axis * share))
+        Some(sum)
     }
 }
 
@@ -95,12 +102,14 @@ mod tests {
         assert_near(flying.press("w", 2.0), [0.0, 0.0, STEP]);
         assert_near(flying.press("W", 2.0), [0.0; 3]);
         assert_near(flying.press("d", 2.0), [STEP, 0.0, 0.0]);
-        assert_near(flying.moved(2.02, false), [0.03, 0.0, 0.03]);
-        assert_near(flying.moved(2.04, true), [0.09, 0.0, 0.09]);
+        // Until a touch is over.
+        assert_near(flying.moved(2.1, false), [0.0; 3]);
+        assert_near(flying.moved(2.22, false), [0.03, 0.0, 0.03]);
+        assert_near(flying.moved(2.24, true), [0.09, 0.0, 0.09]);
         flying.release("D");
-        assert_near(flying.moved(2.06, false), [0.0, 0.0, 0.03]);
-        flying.press("s", 2.06);
-        assert_near(flying.moved(2.08, false), [0.0; 3]);
+        assert_near(flying.moved(2.26, false), [0.0, 0.0, 0.03]);
+        flying.press("s", 2.26);
+        assert_near(flying.moved(2.28, false), [0.0, 0.0, 0.03]);
         assert_near(flying.moved(9.0, false), [0.0; 3]);
         flying.release("s");
         assert_near(flying.moved(20.0, false), [0.0, 0.0, SPEED * LONGEST]);

@@ -25,6 +25,10 @@ const EARLY_BYTES: u32 = 1 << 17;
 /// A viewer of a stream that grows, to whom nothing of it was there for so long, has run ahead of who makes
 /// it: it goes back to the newest window that there is.
 const AHEAD: Nanos = Nanos::from_s(1);
+/// For how long playout of a stream that grows waits once its first base has come. Windows come one by one
+/// as they are made, each when the one before it has been shown: without a lead, what is late by any jitter
+/// would be missed.
+const LIVE_LEAD: Nanos = Nanos::from_ms(300);
 /// A stream that grew is served whole, by another server, if nothing says where it begins for so long.
 const BEGIN_WAIT: Nanos = Nanos::from_s(2);
 /// If there is none that it has not seen for so long, nobody makes the stream any more.
@@ -71,6 +75,8 @@ pub(crate) struct Playback {
     seen_us: u64,
     /// For how long frames without any have been shown since.
     missing: Nanos,
+    /// When the first base of a round of it came.
+    base_at: Option<Nanos>,
     /// Since when playout stands and a newer window is asked for.
     ahead_since: Option<Instant>,
     /// Becomes true once the viewer leaves.
@@ -106,6 +112,7 @@ impl Playback {
             sums: (0.0, 0.0),
             seen_us: 0,
             missing: Nanos::ZERO,
+            base_at: None,
             ahead_since: None,
             leaves: watch::channel(false).0,
         })
@@ -282,7 +289,7 @@ impl Playback {
     }
 
     fn begin(&mut self, round: u32, start_us: u64, resumes_at: u32) {
-        (self.round, self.start_us, self.begun) = (round, start_us, false);
+        (self.round, self.start_us, self.begun, self.base_at) = (round, start_us, false, None);
         self.resumes_at = resumes_at;
         self.receiver = MediaReceiver::new(self.startup);
         self.set_clip();
@@ -372,7 +379,14 @@ impl Playback {
         let (first, share) = (self.first, share(self.startup));
         let is_usable = || share.is_some_and(|share| base(player, first) >= share);
         // Of a stream that grows, nothing at all may have come yet: its time begins with the first base.
-        let waits = self.grows && self.receiver.playout_start().is_none() && base(player, first) == 0.0;
+        let waits = self.grows && self.receiver.playout_start().is_none() && {
+            if self.base_at.is_none() && base(player, first) > 0.0 {
+                self.base_at = Some(now);
+            }
+            // What was shown before goes on when it is due.
+            let lead = if self.resumes_at > 0 { Nanos::ZERO } else { LIVE_LEAD };
+            self.base_at.is_none_or(|at| now < at + lead)
+        };
         if !waits && self.receiver.start_if_ready(now, is_usable) {
             self.wants_receipt = true;
             if self.report.startup_ms.is_none() {
@@ -434,8 +448,11 @@ impl Playback {
             // Until a newer window comes nothing is shown.
             _ if self.unanswered || self.ahead_since.is_some() => None,
             Nanos::MAX => None,
-            // What is waited for is media.
-            _ if self.grows && self.receiver.playout_start().is_none() => None,
+            // What is waited for is media, and then a lead.
+            _ if self.grows && self.receiver.playout_start().is_none() => {
+                let at = self.base_at.filter(|_| self.resumes_at == 0)? + LIVE_LEAD;
+                (at > self.now()).then(|| self.round_began + Duration::from_nanos(at.0))
+            }
             at => self.round_began.checked_add(Duration::from_nanos(at.0)),
         }
     }

@@ -87,8 +87,8 @@ fn protocol(setup: &Setup) -> String {
          also with 5 % loss in bursts of four; model, quinn-proto in virtual time, and a server and its \
          viewers over loopback in real time, means over {} seeds, each with losses of its own, the same for \
          all three but that the handshake over sockets uses up some; time counts from the hello on, after \
-         the handshake; lost: sendings of media that did not arrive; latency: the 95th percentile over frames \
-         of the time from when a frame may be sent, 4 s before it is shown, until the last of it that \
+         the handshake; lost: sendings of media that did not arrive; latency: the 95th percentile over \
+         frames of the time from when a frame may be sent, 4 s before it is shown, until the last of it that \
          arrives is there; differences are from the model. The model and the sockets begin with the round \
          trip of a whole datagram, as a handshake measures it; quinn-proto in virtual time has shaken hands \
          over the bare delays",
