@@ -160,12 +160,18 @@ fn what_is_no_manifest_is_refused_by_name() {
 
 #[test]
 fn what_is_no_packet_is_counted_and_too_much_of_it_ends_the_session() {
-    let garbage = |count: usize| (Track::Motion(0), 0, vec![vec![0x5a; 100]; count]);
+    let garbage = |count: usize| (Track::Motion(1), 0, vec![vec![0x5a; 100]; count]);
     let report = played(&[manifest(), garbage(50)]).whole().unwrap();
     assert_eq!((report.refused, report.packets), (50, 0), "{report:?}");
     assert!(report.shown_count > 0 && report.base_miss_rate == 1.0, "{report:?}");
     let error = played(&[manifest(), garbage(5100)]).whole().unwrap_err();
     assert!(error.to_string().contains("datagrams are no media"), "{error}");
+}
+
+#[test]
+fn a_published_window_of_which_nothing_can_be_shown_is_not_waited_for_for_ever() {
+    let error = played(&[manifest(), (Track::Motion(0), 0, vec![vec![0x5a; 100]])]).whole().unwrap_err();
+    assert!(matches!(error, PlayError::Stalled { .. }), "{error}");
 }
 
 #[test]

@@ -25,9 +25,8 @@ const EARLY_BYTES: u32 = 1 << 17;
 /// A viewer of a stream that grows, to whom nothing of it was there for so long, has run ahead of who makes
 /// it: it goes back to the newest window that there is.
 const AHEAD: Nanos = Nanos::from_s(1);
-/// For how long playout of a stream that grows waits once its first base has come. Windows come one by one
-/// as they are made, each when the one before it has been shown: without a lead, what is late by any jitter
-/// would be missed.
+/// How long playout of a stream that grows waits once its first base has come: each window comes when the one
+/// before it has been shown, and without a lead what is late by any jitter would be missed.
 const LIVE_LEAD: Nanos = Nanos::from_ms(300);
 /// A stream that grew is served whole, by another server, if nothing says where it begins for so long.
 const BEGIN_WAIT: Nanos = Nanos::from_s(2);
@@ -58,8 +57,8 @@ pub(crate) struct Playback {
     resumes_at: u32,
     /// Whether the server says where a round begins.
     grows: bool,
-    /// Whether it has said so of this round.
-    begun: bool,
+    /// Since when it has said so of this round.
+    begun: Option<Instant>,
     receiver: MediaReceiver,
     receipt: Vec<u8>,
     wants_receipt: bool,
@@ -101,7 +100,7 @@ impl Playback {
             start_us: config.start_us,
             resumes_at: 0,
             grows: false,
-            begun: false,
+            begun: None,
             receiver: MediaReceiver::new(config.startup),
             receipt: Vec::new(),
             wants_receipt: false,
@@ -142,7 +141,7 @@ impl Playback {
 
     /// The stream grows: `round` begins at the time `start_us`, whatever was asked for.
     pub(super) fn begin_at(&mut self, round: u32, start_us: u64) -> Result<(), PlayError> {
-        if self.player.is_none() || (self.begun && round == self.round) {
+        if self.player.is_none() || (self.begun.is_some() && round == self.round) {
             return Err(PlayError::Nonsense("begin before the manifest, or twice in a round".to_owned()));
         }
         self.grows = true;
@@ -152,7 +151,7 @@ impl Playback {
                 self.begin(round, start_us, self.resumes_at);
             }
             self.move_start(start_us);
-            self.begun = true;
+            self.begun = Some(Instant::now());
             // A server names the middle of a frame.
             let is_new = start_us + self.interval.0 / 1000 >= self.seen_us;
             self.ahead_since = self.ahead_since.filter(|_| !is_new);
@@ -184,9 +183,12 @@ impl Playback {
         {
             self.next_round(request)?;
         }
-        if self.begun {
+        if let Some(since) = self.begun {
             self.move_start(start_us);
-            return Ok(());
+            // The window is published, and nothing of it can be shown.
+            let stalled = self.base_at.is_none() && since.elapsed() >= STALLED;
+            let error = PlayError::Stalled { ms: STALLED.as_millis() };
+            return if stalled { Err(error) } else { Ok(()) };
         }
         self.begin_at(self.round, start_us)
     }
@@ -289,7 +291,7 @@ impl Playback {
     }
 
     fn begin(&mut self, round: u32, start_us: u64, resumes_at: u32) {
-        (self.round, self.start_us, self.begun, self.base_at) = (round, start_us, false, None);
+        (self.round, self.start_us, self.begun, self.base_at) = (round, start_us, None, None);
         self.resumes_at = resumes_at;
         self.receiver = MediaReceiver::new(self.startup);
         self.set_clip();
@@ -370,7 +372,7 @@ impl Playback {
     /// Starts playout if enough is there, and shows what is due.
     pub(crate) fn show_due(&mut self, screen: &mut dyn FrameSink) -> Result<(), PlayError> {
         let now = self.now();
-        let awaits_begin = self.grows && !self.begun && now < BEGIN_WAIT;
+        let awaits_begin = self.grows && self.begun.is_none() && now < BEGIN_WAIT;
         let holds = self.unanswered || self.ahead_since.is_some() || awaits_begin;
         let Some(player) = self.player.as_mut().filter(|_| !holds) else { return Ok(()) };
         if let Some(pose) = screen.pose() {
@@ -383,7 +385,6 @@ impl Playback {
             if self.base_at.is_none() && base(player, first) > 0.0 {
                 self.base_at = Some(now);
             }
-            // What was shown before goes on when it is due.
             let lead = if self.resumes_at > 0 { Nanos::ZERO } else { LIVE_LEAD };
             self.base_at.is_none_or(|at| now < at + lead)
         };
