@@ -40,7 +40,7 @@ impl Engine {
     }
 
     /// The same, where pixels whose value in `counted`, one per pixel, row by row, is 0 are taken as equal to
-    /// the reference: the distortion of [`metric::where_counted`].
+    /// the reference: the distortion of [`metric::where_counted()`].
     ///
     /// # Errors
     /// As [`Engine::distortions`], or not one value per pixel.

@@ -21,7 +21,7 @@ pub fn where_counted(test: &Image, reference: &Image, counted: &[u8]) -> Result<
     Ok(out)
 }
 
-/// Structural similarity where pixels count: [`super::ssim`] of [`where_counted`], but the mean only over
+/// Structural similarity where pixels count: [`super::ssim()`] of [`where_counted()`], but the mean only over
 /// windows whose middle counts. 1 where there is no such window.
 ///
 /// # Errors
