@@ -291,7 +291,7 @@ pub struct Decode {
     /// Highest level to use, 0 to 3.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
     pub level: u8,
-    /// Replace a folder of frames, or the buffer of a .gltf, that is there already.
+    /// Replace a folder of frames that is there already, or a .bin of something else where a .gltf goes.
     #[arg(long)]
     pub overwrite: bool,
     /// Print the digest of all decoded frames, or of that of --frame: 64-bit FNV-1a over the little-endian

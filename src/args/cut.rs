@@ -18,7 +18,7 @@ pub struct Cut {
     pub levels: Option<u8>,
     /// Keep these frames as a shorter clip that begins at 0: FIRST..LAST with LAST included, FIRST.., or one.
     /// Windows of motion stay whole, so that the clip begins with the one that FIRST is in and ends with that
-    /// of LAST, as ffmpeg -c copy begins at the key frame before; parity is added up again.
+    /// of LAST, as ffmpeg -c copy begins at the key frame before; parity is computed again.
     #[arg(long, value_name = "FIRST..LAST")]
     pub frames: Option<FrameRange>,
     /// Keep at most this many bytes of file: what adds most to the picture per byte, by the utilities beside

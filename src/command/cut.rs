@@ -128,7 +128,7 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
         ranking.map_or("", Ranking::sentence)
     );
     let frames = manifest.head().frames;
-    if let Some((clip, typed)) = clip.as_ref().zip(args.frames) {
+    if let Some((clip, requested)) = clip.as_ref().zip(args.frames) {
         let Range { start, end } = clip.frames;
         let seconds = f64::from(frames) / manifest.frames_per_second();
         text += &format!(
@@ -136,9 +136,9 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
             end - 1,
             counted(frames as usize, "frame")
         );
-        if typed.within(whole.manifest()?.head().frames)? != clip.frames {
+        if requested.within(whole.manifest()?.head().frames)? != clip.frames {
             text += &format!(
-                "  note: --frames is {typed}; motion is coded in windows, which stay whole (encode \
+                "  note: --frames is {requested}; motion is coded in windows, which stay whole (encode \
                  --window-frames makes them shorter)\n"
             );
         }

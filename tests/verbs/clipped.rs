@@ -26,7 +26,7 @@ fn a_cut_in_time_is_a_clip_of_its_own() {
     for frame in 0..8 {
         assert_eq!(digest("b.dgs", frame), digest("a.dgs", frame + 4), "frame {frame}");
     }
-    // It is as long as it looks, to all that read it.
+    // Every verb that reads the clip sees its shorter length.
     assert!(ok(at, &["inspect", "b.dgs"]).contains("0.267 s, 1000 Gaussians"));
     assert!(stopped(at, &["render", "b.dgs", "-o", "p.png", "--frame", "8"], 1).contains("0 to 7"));
     let said = json(at, &["stream", "b.dgs", "--load", "0.1", "--burst-loss", "0"]);

@@ -33,7 +33,7 @@ pub(in crate::command) enum SceneOutput {
 /// Which frames are written, and how they are drawn.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::command) struct FrameRun {
-    /// Replaces a folder, or the buffer of a glTF, that is there.
+    /// Replaces a folder that is there, or a buffer of something else where that of a glTF goes.
     pub(in crate::command) overwrite: bool,
     /// The frame that a file gets.
     pub(in crate::command) only: u32,

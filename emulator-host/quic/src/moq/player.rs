@@ -27,7 +27,7 @@ use crate::socket::{
 const MAX_WAITING: usize = 1024;
 /// Groups that are older than the newest by more than this are not wanted, whatever the publisher keeps.
 const MAX_AGE: Duration = Duration::from_secs(30);
-/// Longest time between two looks at whether a stream that grows goes on.
+/// How often a player of a live stream checks whether the stream has stalled.
 const NEWEST_INTERVAL: Duration = Duration::from_millis(500);
 /// Groups of one track that are read at once; more wait in the relay.
 const MAX_GROUPS: usize = 16;

@@ -71,7 +71,7 @@ impl ServerLimits {
             // probe holds them up, by a tenth of a second at 120 kbit/s.
             .mtu_discovery_config(None)
             .datagram_receive_buffer_size(Some(RECEIVE_BUFFER_BYTES / 16))
-            // Datagrams that leave together would be padded to one length, and their sizes would not be told.
+            // Datagrams that leave together are padded to one length, and their sizes are not reported.
             // Hardly two ever wait.
             .enable_segmentation_offload(false)
             .datagram_send_buffer_size(SEND_BUFFER_BYTES)
