@@ -310,9 +310,12 @@ mod tests {
         check_beside(&path, &beside, false).unwrap();
         write_pair(&path, b"text", (&beside, b"data")).unwrap();
         assert_eq!((fs::read(&path).unwrap(), fs::read(&beside).unwrap()), (b"text".into(), b"data".into()));
-        let error = check_beside(&path, &beside, false).unwrap_err().to_string();
+        // The two of an earlier run are replaced as one file would be; a file of another name's is not.
+        check_beside(&path, &beside, false).unwrap();
+        let another = folder.path().join("another.gltf");
+        let error = check_beside(&another, &beside, false).unwrap_err().to_string();
         assert!(error.contains("a.bin: is there") && error.contains("--overwrite"), "{error}");
-        check_beside(&path, &beside, true).unwrap();
+        check_beside(&another, &beside, true).unwrap();
         write_pair(&path, b"TEXT", (&beside, b"DATA")).unwrap();
         assert_eq!(fs::read(&beside).unwrap(), b"DATA");
         // A name that cannot be written leaves the other as it was.
