@@ -16,6 +16,7 @@ mod density;
 pub mod epochs;
 mod error;
 pub mod evaluation;
+mod exposure;
 mod finish;
 mod freeze;
 mod gaussians;
@@ -33,6 +34,7 @@ mod start;
 mod state;
 mod step_report;
 mod trainer;
+mod view_order;
 mod views;
 
 pub use checkpoint::{Checkpoint, CheckpointError};

@@ -82,20 +82,15 @@ struct Seen {
 
 impl Seen {
     fn new(image: &Image, width: usize, height: usize, ppd: f64) -> Self {
-        let opponent: Vec<[f32; 3]> = image
-            .rgb()
-            .chunks_exact(3)
-            .map(|p| opponent(xyz([linear(p[0]), linear(p[1]), linear(p[2])])))
-            .collect();
+        let (pixels, _) = image.rgb().as_chunks::<3>();
+        let opponent = per_pixel([width, height], |i| opponent(xyz(pixels[i].map(linear))));
         let plane = |c: usize| Plane { width, height, values: opponent.iter().map(|p| p[c]).collect() };
 
         let planes: [Vec<f32>; 3] = std::array::from_fn(|c| sensitivity(&plane(c), c, ppd));
-        let colour = (0..width * height)
-            .map(|i| {
-                let filtered = linear_rgb(from_opponent([planes[0][i], planes[1][i], planes[2][i]]));
-                hunt(filtered.map(|v| v.clamp(0.0, 1.0)))
-            })
-            .collect();
+        let colour = per_pixel([width, height], |i| {
+            let filtered = linear_rgb(from_opponent([planes[0][i], planes[1][i], planes[2][i]]));
+            hunt(filtered.map(|v| v.clamp(0.0, 1.0)))
+        });
 
         let mut grey = plane(0);
         grey.values.iter_mut().for_each(|v| *v = (*v + 16.0) / 116.0);
@@ -107,6 +102,16 @@ impl Seen {
         };
         Self { colour, edge: strength(&filters.edge), point: strength(&filters.point) }
     }
+}
+
+/// What `of` makes of each pixel of an image of `size` (width, height), row by row.
+fn per_pixel(size: [usize; 2], of: impl Fn(usize) -> [f32; 3] + Sync) -> Vec<[f32; 3]> {
+    let [width, height] = size;
+    let mut out = vec![[0.0; 3]; width * height];
+    parallel::for_each_chunk(true, &mut out, width, |y, row| {
+        row.iter_mut().enumerate().for_each(|(x, out)| *out = of(y * width + x));
+    });
+    out
 }
 
 /// One channel.

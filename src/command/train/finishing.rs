@@ -16,6 +16,8 @@ const CANONICAL: [&str; 8] = ["position", "scale", "rotation", "opacity", "sh0",
 pub(super) struct Finished {
     /// Gaussians that were removed.
     prunings: Vec<Pruning>,
+    /// How photographs from different places differ in colour, where that was learnt.
+    exposures: Option<Exposures>,
     /// Gaussians that stand still while the others follow nodes.
     standing_gaussians: usize,
     /// Of canonical values: bytes that the training estimated, where it rounded, and that they take, with
@@ -31,6 +33,26 @@ pub(super) struct Finished {
     still_cells: usize,
     /// Bytes of motion.
     motion_bytes: f64,
+}
+
+/// How far photographs from different places are from the scene.
+#[derive(Debug, Serialize)]
+struct Exposures {
+    places: usize,
+    /// Least and largest factor of a channel.
+    factors: [f32; 2],
+    /// Least and largest offset of a channel, display values.
+    offsets: [f32; 2],
+}
+
+impl Exposures {
+    fn of(places: &[[[f32; 3]; 2]]) -> Option<Self> {
+        let range = |part: usize| {
+            let values = || places.iter().flat_map(move |place| place[part]);
+            [values().fold(f32::INFINITY, f32::min), values().fold(f32::NEG_INFINITY, f32::max)]
+        };
+        (!places.is_empty()).then(|| Self { places: places.len(), factors: range(0), offsets: range(1) })
+    }
 }
 
 impl Finished {
@@ -56,6 +78,7 @@ impl Finished {
         }
         Self {
             prunings: trained.prunings.clone(),
+            exposures: Exposures::of(&trained.exposures),
             standing_gaussians: trained.standing,
             estimated_bytes: trained.estimated_bytes,
             coded_bytes: canonical * (1.0 + ledger.table_indices / all),
@@ -79,6 +102,13 @@ impl Finished {
             text += &format!(
                 "  rounded: canonical values {estimated:.0} bytes estimated, {:.0} coded ({off:+.1} %)\n",
                 self.coded_bytes
+            );
+        }
+        if let Some(Exposures { places, factors, offsets }) = &self.exposures {
+            let [[darkest, brightest], [least, most]] = [factors, offsets];
+            text += &format!(
+                "  exposures: of {places} places, colours times {darkest:.3} to {brightest:.3}, and {least:+.3} to {most:+.3}; \
+                 views are compared without them\n"
             );
         }
         let [none, first, second, third] = self.clusters_of_degree;

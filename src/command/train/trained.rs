@@ -27,6 +27,8 @@ pub(super) struct Trained {
     /// Choices of the encoder that the training has made its own.
     pub(super) decisions: Option<Decisions>,
     pub(super) prunings: Vec<Pruning>,
+    /// As [`Trainer::exposures`], epoch by epoch.
+    pub(super) exposures: Vec<[[f32; 3]; 2]>,
     pub(super) estimated_bytes: Option<f64>,
     /// Per epoch, what the training went on with, and that as a receiver has it.
     models: Vec<[Model; 2]>,
@@ -52,6 +54,7 @@ impl Trained {
             reduced: trainer.reduced(),
             decisions: trainer.decisions()?,
             prunings: trainer.prunings().to_vec(),
+            exposures: trainer.exposures().collect(),
             estimated_bytes: trainer.estimated_bytes(),
             models: vec![[model, trainer.shown()]],
         })
@@ -79,6 +82,7 @@ impl Trained {
             reduced: self.reduced,
             decisions,
             prunings: [self.prunings, next.prunings].concat(),
+            exposures: [self.exposures, next.exposures].concat(),
             estimated_bytes: self.estimated_bytes.zip(next.estimated_bytes).map(|(a, b)| a + b),
             models: [self.models, next.models].concat(),
         })

@@ -220,6 +220,9 @@ pub struct Rates {
     pub skin: f32,
     /// Shifts and turns of the last layer of nodes; each before it learns at 0.3 of the next one's.
     pub node_motion: f32,
+    /// Logarithms of factors, and offsets, by which the photographs of each place differ in colour; 0: none
+    /// do. Photographs with outlines have none.
+    pub exposure: f32,
 }
 
 impl Default for TrainOptions {
@@ -261,6 +264,7 @@ impl Default for Rates {
             sh_rest: 3e-3,
             skin: 1e-2,
             node_motion: 2e-3,
+            exposure: 6e-3,
         }
     }
 }
@@ -300,7 +304,8 @@ impl TrainOptions {
         for value in self.background {
             real("background", value, 1.0, "0 to 1")?;
         }
-        let Rates { position, log_scale, rotation, opacity, sh0, sh_rest, skin, node_motion } = self.rates;
+        let Rates { position, log_scale, rotation, opacity, sh0, sh_rest, skin, node_motion, exposure } =
+            self.rates;
         let rates = [
             ("rates.position", position),
             ("rates.log_scale", log_scale),
@@ -310,6 +315,7 @@ impl TrainOptions {
             ("rates.sh_rest", sh_rest),
             ("rates.skin", skin),
             ("rates.node_motion", node_motion),
+            ("rates.exposure", exposure),
         ];
         let weights = [
             ("absolute_weight", self.absolute_weight),

@@ -96,6 +96,11 @@ pub(super) fn node_rate(options: &TrainOptions, progress: f64) -> f32 {
     options.rates.node_motion * decay(progress, options.schedule.motion_decay)
 }
 
+/// Rate of exposures.
+pub(super) fn exposure_rate(options: &TrainOptions, progress: f64) -> f32 {
+    options.rates.exposure * decay(progress, options.schedule.motion_decay)
+}
+
 /// Weight of rigidity.
 pub(super) fn rigidity(options: &TrainOptions, progress: f64) -> f32 {
     options.rigidity * (1.0 - progress).max(options.schedule.rigidity_decay) as f32

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use serde::{Deserialize, Serialize};
 
-use super::{average::Average, density::ViewGradients, finish::Finishing, model::Model};
+use super::{average::Average, density::ViewGradients, exposure::Exposures, finish::Finishing, model::Model};
 
 /// Rollbacks after which a training gives up.
 pub(super) const MAX_ROLLBACKS: u32 = 3;
@@ -19,6 +19,7 @@ const MAX_STEPS: u32 = 1 << 30;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct State {
     pub(super) model: Model,
+    pub(super) exposures: Exposures,
     /// Of the parameters over the last steps, once that is the scene.
     pub(super) average: Option<Average>,
     pub(super) step: u32,
@@ -40,11 +41,12 @@ pub(super) struct State {
 }
 
 impl State {
-    /// Before the first step, with `model`.
-    pub(super) fn begun(model: Model) -> Self {
+    /// Before the first step.
+    pub(super) fn begun(model: Model, exposures: Exposures) -> Self {
         let pull = ViewGradients::none(model.gaussians());
         Self {
             model,
+            exposures,
             average: None,
             step: 0,
             node_stages: 0,
@@ -93,6 +95,7 @@ impl State {
     pub(super) fn is_sound(&self) -> bool {
         let counts = [self.step, self.last_density];
         self.model.is_sound()
+            && self.exposures.is_sound()
             && self.average.as_ref().is_none_or(|average| average.fits(&self.model))
             && self.pull.is_sound(self.model.gaussians())
             && counts.iter().all(|&count| count <= MAX_STEPS)

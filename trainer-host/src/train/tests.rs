@@ -10,6 +10,7 @@ use crate::{
     import::{Limits, synth},
 };
 
+mod exposed;
 mod masked;
 
 /// How far apart two devices may train the same scene in a few steps, dB.

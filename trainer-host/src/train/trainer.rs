@@ -4,12 +4,12 @@
 //! time: more pixels, more nodes, more Gaussians ([`super::schedule`] says when, as shares of the training).
 //! The same views, options and shares give the same scene bit for bit, on any number of threads.
 
-use std::borrow::Cow;
+mod results;
 
-use rand::{RngExt, seq::SliceRandom};
+use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use render_host::{
-    Backend, BackendError, Differentiator, Gradients, Settings, Splats,
+    Backend, BackendError, Differentiator, Gradients, Loss, Settings, Splats,
     adjoint::{
         AdjointError, DensityStatistics,
         loss::photograph::{Photograph, PhotographLoss},
@@ -20,7 +20,8 @@ use super::{
     average::Average,
     density::{self, Region, ViewGradients},
     error::TrainError,
-    finish::{Encoding, Finisher, Pruning},
+    exposure::{self, Exposed, Exposures, NUMBERS},
+    finish::{Encoding, Finisher},
     freeze::{self, Trial},
     gaussians::TrainedGaussians,
     model::Model,
@@ -33,12 +34,10 @@ use super::{
     start::{self, Extent},
     state::{MAX_ROLLBACKS, State},
     step_report::{Stage, StepReport},
+    view_order::ViewOrder,
     views::{Dataset, Training, Views},
 };
-use crate::{
-    encode::{Decisions, EncodeOptions},
-    scene::Instant,
-};
+use crate::{encode::EncodeOptions, scene::Instant};
 
 /// Steps between two controls of density.
 const DENSITY_EVERY: u32 = 100;
@@ -66,8 +65,9 @@ pub struct Trainer<'a> {
     state: State,
     /// What to fall back to.
     fallback: State,
-    /// The order of views of one pass over them, and which pass it is.
-    order: (u64, Vec<usize>),
+    order: ViewOrder,
+    /// Which exposure each view has; none, where they have none.
+    exposures: Vec<usize>,
     memory: Memory,
     finisher: Finisher,
 }
@@ -79,6 +79,8 @@ struct Memory {
     gradients: Gradients,
     /// Of the view, where density control asks for them.
     statistics: Vec<DensityStatistics>,
+    /// How the loss changes with the exposure of the view.
+    exposure_slopes: [f64; NUMBERS],
     instant: Instant,
 }
 
@@ -108,7 +110,9 @@ impl<'a> Trainer<'a> {
         let moves = options.nodes > 0 && !dataset.has_alpha;
         let footprint = *options.footprint.get_or_insert(dataset.footprint);
         let model = Model { gaussians, nodes, followed: vec![None; count], footprint };
-        let state = State::begun(model);
+        let exposures = exposure::of_views(dataset, options.rates.exposure);
+        let state = State::begun(model, Exposures::neutral(exposure::count(&exposures)));
+        let order = ViewOrder::new(photographs.len(), options.seed);
         let encoding =
             Encoding { options: EncodeOptions::default(), frames: dataset.frames, frames_per_second: 30.0 };
         Ok(Self {
@@ -121,7 +125,8 @@ impl<'a> Trainer<'a> {
             fallback: state.clone(),
             finisher: Finisher::new(encoding, &state.model.gaussians),
             state,
-            order: (u64::MAX, Vec::new()),
+            order,
+            exposures,
             memory: Memory::default(),
         })
     }
@@ -141,7 +146,8 @@ impl<'a> Trainer<'a> {
     /// Goes on from the states of a checkpoint: that of its last step, and what to fall back to.
     pub(super) fn with_state(mut self, state: State, fallback: State) -> Result<Self, TrainError> {
         let refused = |what: &str| Err(TrainError::Checkpoint(what.to_owned()));
-        if !state.is_sound() || !fallback.is_sound() {
+        let exposures = self.state.exposures.len();
+        if [&state, &fallback].iter().any(|s| !s.is_sound() || s.exposures.len() != exposures) {
             return refused("numbers that do not fit together; the file is damaged");
         }
         if state.size.max(fallback.size) >= self.pyramid.sizes() {
@@ -164,59 +170,10 @@ impl<'a> Trainer<'a> {
         self.state.model.gaussians.sh0.values_mut().fill(f32::NAN);
     }
 
-    /// The options in force.
-    pub fn options(&self) -> &TrainOptions {
-        &self.options
-    }
-
-    /// The scene as it is now; near the end of a training, the moving average of its parameters.
-    pub fn model(&self) -> Cow<'_, Model> {
-        self.state.scene()
-    }
-
-    /// The scene as a receiver has it, but for what is lost of its motion: the same as
-    /// [`Trainer::model`] until values are rounded.
-    pub fn shown(&self) -> Model {
-        self.finisher.shown(&self.state.scene())
-    }
-
-    /// The choices of the encoder that the training has made its own, once values are rounded.
-    ///
-    /// # Errors
-    /// Never for those that it made itself.
-    pub fn decisions(&self) -> Result<Option<Decisions>, TrainError> {
-        self.state.finishing.decisions()
-    }
-
-    /// What was removed, pruning by pruning.
-    pub fn prunings(&self) -> &[Pruning] {
-        &self.state.finishing.prunings
-    }
-
-    /// Bytes that the canonical values of the stream are estimated to take, once they are rounded.
-    pub fn estimated_bytes(&self) -> Option<f64> {
-        self.finisher.estimated_bytes(&self.state.scene())
-    }
-
     /// The same, for an encoding by `encoding`.
     pub fn encoded_by(mut self, encoding: Encoding) -> Self {
         self.finisher.set_encoding(encoding);
         self
-    }
-
-    /// Frames per second that the scene is encoded at.
-    pub fn frames_per_second(&self) -> f64 {
-        self.finisher.frames_per_second()
-    }
-
-    /// Steps taken.
-    pub fn steps(&self) -> u32 {
-        self.state.step
-    }
-
-    /// How many times smaller than the photographs the largest pictures of the training are.
-    pub fn reduced(&self) -> u32 {
-        self.pyramid.smallest_divisor()
     }
 
     /// Takes a step at `progress` of the training, 0 to 1, which only falls after a rollback.
@@ -313,28 +270,13 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
-    /// The next view, in an order that is drawn anew for each pass over them; early in the training those
-    /// near the canonical instant.
+    /// The next view; early in the training one near the canonical instant.
     fn next_view(&mut self, progress: f64) -> usize {
         let photographs = self.views.photographs();
-        let count = photographs.len() as u64;
-        let away = |view: &usize| (photographs[*view].time - self.options.canonical_time).abs();
-        let nearest = (0..photographs.len()).map(|view| away(&view)).fold(f32::MAX, f32::min);
+        let away = |view: usize| (photographs[view].time - self.options.canonical_time).abs();
+        let nearest = (0..photographs.len()).map(away).fold(f32::MAX, f32::min);
         let span = schedule::time_span(&self.options.schedule, progress).max(nearest);
-        loop {
-            let pass = self.state.drawn / count;
-            if self.order.0 != pass {
-                let mut order: Vec<usize> = (0..photographs.len()).collect();
-                let seed = self.options.seed ^ pass.wrapping_mul(0xD1B5_4A32_D192_ED03) ^ 0x5EED;
-                order.shuffle(&mut Pcg64Mcg::seed_from_u64(seed));
-                self.order = (pass, order);
-            }
-            let view = self.order.1[(self.state.drawn % count) as usize];
-            self.state.drawn += 1;
-            if away(&view) <= span {
-                return view;
-            }
-        }
+        self.order.next(&mut self.state.drawn, |view| away(view) <= span)
     }
 
     /// Renders the view and leaves the gradients of its splats in memory; returns the loss.
@@ -364,7 +306,7 @@ impl<'a> Trainer<'a> {
         let background = self.options.background.map(vary);
 
         observe(Stage::Pose);
-        let Memory { differentiator, gradients, statistics, instant } = &mut self.memory;
+        let Memory { differentiator, gradients, statistics, exposure_slopes, instant } = &mut self.memory;
         match self.finisher.rounded(&self.state.model) {
             Some(rounded) => self.state.model.instant_of(rounded, posed.time, instant),
             None => self.state.model.instant_into(posed.time, instant),
@@ -382,9 +324,13 @@ impl<'a> Trainer<'a> {
         let counted = self.options.density == DensityControl::Split && progress < schedule.density_end;
         statistics.clear();
         let statistics = counted.then_some(statistics);
+        let exposed =
+            self.exposures.get(view).map(|&index| Exposed::new(&loss, self.state.exposures.get(index)));
+        let taken: &dyn Loss = exposed.as_ref().map_or(&loss, |exposed| exposed);
         differentiator
-            .differentiate(&splats, &camera, &settings, &loss, gradients, statistics)
+            .differentiate(&splats, &camera, &settings, taken, gradients, statistics)
             .map_err(failed)?;
+        *exposure_slopes = exposed.map(Exposed::slopes).unwrap_or_default();
         Ok(gradients.loss)
     }
 
@@ -419,6 +365,10 @@ impl<'a> Trainer<'a> {
         gaussians.step(rates, step);
         let rate = caution * schedule::node_rate(&self.options, progress);
         nodes.step(AdamStep { rate, second_decay: 0.99, ..step });
+        if let Some(&index) = self.exposures.get(view) {
+            let rate = caution * schedule::exposure_rate(&self.options, progress);
+            state.exposures.step(index, self.memory.exposure_slopes, rate);
+        }
     }
 
     /// Adds and removes Gaussians if it is time.
