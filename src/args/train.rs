@@ -16,6 +16,9 @@ use super::{
 /// Writes into the folder of --out: scene.dgs (the encoded scene), checkpoint.dgst (to resume, and a scene
 /// for `dgs encode` and `dgs render`), log.csv, preview.png and report.html. A clip in several epochs
 /// (--split) has epochs.json and a folder epoch-N with the checkpoint and log of each.
+///
+/// Cameras may differ in brightness and tint: what each place's photographs differ by is learnt where they have
+/// no outlines (`rates.exposure` in --options; 0: not), and the scene is their mean.
 #[derive(Clone, Debug, Args)]
 pub struct Train {
     /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), transforms.json (Nerfstudio),

@@ -264,7 +264,7 @@ impl Default for Rates {
             sh_rest: 3e-3,
             skin: 1e-2,
             node_motion: 2e-3,
-            exposure: 6e-3,
+            exposure: 1e-2,
         }
     }
 }
