@@ -200,7 +200,7 @@ impl Image {
     /// # Errors
     /// Bytes that are no such image, or one with a side above 16384.
     pub fn decode(bytes: &[u8], background: [f32; 3]) -> Result<Self, ImageError> {
-        let bounds = Bounds { side: MAX_SIDE, bytes: MAX_DECODED_BYTES };
+        let bounds = Bounds { side: MAX_SIDE, bytes: MAX_DECODED_BYTES, flat_bytes: MAX_DECODED_BYTES };
         let rgba = Rgba8::decode(bytes, bounds).map_err(|e| ImageError::Codec(e.to_string()))?;
         let (width, height) = rgba.size();
         let over = |&[r, g, b, a]: &[u8; 4]| {

@@ -3,6 +3,7 @@
 //! The decoders stand alone: together with colour management, animation and a dozen other formats they would
 //! be a third of what has to be compiled.
 
+mod capacity;
 mod jpeg;
 
 use std::io::{BufRead, Cursor, Seek};
@@ -35,6 +36,9 @@ pub struct Bounds {
     pub side: u32,
     /// The most that the decoded image may take, bytes.
     pub bytes: u64,
+    /// The most that a lossless WebP file may take whatever its length, bytes: a picture of one colour is a
+    /// handful of bytes at any size.
+    pub flat_bytes: u64,
 }
 
 /// What a file is, by its first bytes.
@@ -80,7 +84,8 @@ impl Rgba8 {
     /// Decodes PNG, JPEG or WebP bytes; the format is detected from the first bytes.
     ///
     /// # Errors
-    /// [`FileError`]: another format, damage, or a picture beyond `bounds`.
+    /// [`FileError`]: another format, damage, or a picture beyond `bounds`, or larger than a file of this
+    /// length can hold.
     pub fn decode(bytes: &[u8], bounds: Bounds) -> Result<Self, FileError> {
         match Format::of(bytes)? {
             Format::Png => decode_png(bytes, bounds),
@@ -126,7 +131,7 @@ impl Bounds {
     fn check(self, (width, height): (u32, u32)) -> Result<(), FileError> {
         let bytes = 4 * u64::from(width) * u64::from(height);
         if width == 0 || height == 0 || width > self.side || height > self.side || bytes > self.bytes {
-            let Self { side, bytes } = self;
+            let Self { side, bytes, .. } = self;
             return Err(codec(format_args!(
                 "{width} x {height} pixels; sides of 1 to {side} and {bytes} bytes are allowed"
             )));
@@ -220,6 +225,7 @@ fn decode_png(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
     let info = decoder.read_header_info().map_err(codec)?;
     let size = (info.width, info.height);
     bounds.check(size)?;
+    capacity::check_png(size, info.bits_per_pixel(), bytes.len())?;
     decoder.set_transformations(Transformations::EXPAND);
     let mut reader = decoder.read_info().map_err(codec)?;
     let len = reader.output_buffer_size().ok_or_else(|| codec("larger than the memory"))?;
@@ -249,6 +255,7 @@ fn decode_jpeg(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
     let (width, height) = decoder.dimensions().ok_or_else(|| codec("no size"))?;
     let size = (width as u32, height as u32);
     bounds.check(size)?;
+    capacity::check_jpeg(size, bytes.len())?;
     let grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
     let colours = if grey { ColorSpace::Luma } else { ColorSpace::RGB };
     decoder.set_options(options.jpeg_set_out_colorspace(colours));
@@ -266,6 +273,7 @@ fn decode_webp(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
     let mut decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(codec)?;
     let size = decoder.dimensions();
     bounds.check(size)?;
+    capacity::check_webp(size, bytes, bounds.flat_bytes)?;
     let mut data = vec![0; decoder.output_buffer_size().ok_or_else(|| codec("larger than the memory"))?];
     decoder.read_image(&mut data).map_err(codec)?;
     Rgba8::new(size, if decoder.has_alpha() { data } else { rgb_to_rgba(&data) })
@@ -289,7 +297,7 @@ mod tests {
 
     use super::*;
 
-    const BOUNDS: Bounds = Bounds { side: 64, bytes: 1 << 20 };
+    const BOUNDS: Bounds = Bounds { side: 64, bytes: 1 << 20, flat_bytes: 1 << 20 };
 
     fn picture() -> DynamicImage {
         let of = |x: u32, y: u32| Rgba([x as u8 * 9, y as u8 * 17, (x * y) as u8, 255 - x as u8 * 4]);

@@ -17,19 +17,15 @@ pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>, DatasetError> {
     std::fs::read(path).map_err(|source| DatasetError::File { path: path.to_owned(), source })
 }
 
-/// Bytes that any photograph may take in memory.
-const ALWAYS_ALLOWED: u64 = 64 << 20;
-/// Bytes that it may take besides, for each byte of its file: black and white masks of one colour shrink as
-/// far as that, and a small file that claims more pixels is damaged or means harm.
-const PER_FILE_BYTE: u64 = 40_000;
+/// Bytes that a lossless WebP file of any length may take in memory: a mask of one colour, 4096 × 4096.
+const FLAT_BYTES: u64 = 64 << 20;
 
 /// The photograph in an image file; `true` where some of it is transparent.
 pub(super) fn read_photograph(path: &Path) -> Result<(Photograph, bool), DatasetError> {
     let bytes = read_bytes(path)?;
     let failed = |source| DatasetError::Image { path: path.to_owned(), source };
     let most = 4 * u64::from(MAX_SIDE) * u64::from(MAX_SIDE);
-    let bounds =
-        Bounds { side: MAX_SIDE, bytes: most.min(ALWAYS_ALLOWED + PER_FILE_BYTE * bytes.len() as u64) };
+    let bounds = Bounds { side: MAX_SIDE, bytes: most, flat_bytes: FLAT_BYTES };
     let image = Rgba8::decode(&bytes, bounds).map_err(|e| failed(ImageError::Codec(e.to_string())))?;
     drop(bytes);
     let (width, height) = image.size();

@@ -149,11 +149,9 @@ impl Texture {
     }
 }
 
-/// Decodes an image that may take `most` bytes, and 8192 pixels per byte of its file (what PNG can pack:
-/// deflate's 1032 times eight one-bit pixels), so that a small file cannot ask for a large picture.
+/// Decodes an image that may take `most` bytes.
 fn decode(bytes: &[u8], most: u64) -> Result<Rgba8, FileError> {
-    let packed = (bytes.len() as u64).saturating_mul(8192 * 4);
-    Rgba8::decode(bytes, Bounds { side: 16_384, bytes: most.min(1 << 30).min(packed) })
+    Rgba8::decode(bytes, Bounds { side: 16_384, bytes: most.min(1 << 30), flat_bytes: 64 << 20 })
 }
 
 fn wrapped(texel: i64, size: u32, mode: WrappingMode) -> u32 {
