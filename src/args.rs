@@ -36,7 +36,7 @@ pub use self::{
     view::{View, WindowArgs},
 };
 use self::{
-    number::{background, not_negative, whole},
+    number::{background, name, not_negative, whole},
     train::Train,
 };
 
@@ -186,6 +186,7 @@ pub enum PolicyName {
 pub struct Import {
     /// File or folder, or synth:KIND:GAUSSIANS:FRAMES (numbers optional), KIND balls, figure, cloth or
     /// births, GAUSSIANS at least 1000.
+    #[arg(value_parser = name())]
     pub input: String,
     /// How to read it.
     #[command(flatten)]
@@ -207,6 +208,7 @@ pub struct Import {
 )]
 pub struct Encode {
     /// Scene, as for import.
+    #[arg(value_parser = name())]
     pub input: String,
     /// Stream to write; - is standard output.
     #[arg(short, long)]
@@ -286,10 +288,10 @@ pub struct Decode {
     #[arg(short, long, required_unless_present = "digest")]
     pub out: Option<PathBuf>,
     /// The frame for a single file [default: 0], or the only one of --digest [default: all].
-    #[arg(long)]
+    #[arg(long, value_parser = whole::<u32>(0..=u32::MAX, "frames"))]
     pub frame: Option<u32>,
     /// Highest level to use, 0 to 3.
-    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, default_value_t = 3, value_parser = whole::<u8>(0..=3, "levels"))]
     pub level: u8,
     /// Replace a folder of frames that is there already, or a .bin of something else where a .gltf goes.
     #[arg(long)]
@@ -313,6 +315,7 @@ pub struct Decode {
 )]
 pub struct StreamArgs {
     /// A .dgs file or a scene.
+    #[arg(value_parser = name())]
     pub input: String,
     /// Scheduler.
     #[arg(long, value_enum, default_value_t = PolicyName::DeadlineUtility)]

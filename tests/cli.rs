@@ -164,6 +164,7 @@ fn options_out_of_range_are_refused_by_name_with_their_range() {
         (&encode, "--rank", &["65"], "vectors from 0 to 64 is allowed"),
         (&encode, "--pictures", &["1025"], "pictures from 0 to 1024 is allowed"),
         (&encode, "--samples", &["0"], "Gaussians from 1 to 5000000 is allowed"),
+        (&encode, "--target-bytes", &["0", "nan"], "bytes from 1 to 18446744073709551615 is allowed"),
         (&encode, "--repair-set", &["1", "65"], "2 to 64 packets per set"),
         (&stream, "--burst-loss", &["nan", "0.31", "-0.1"], "a share from 0 to 0.3 is allowed"),
         (&stream, "--load", &["nan", "inf", "0"], above),
@@ -172,6 +173,8 @@ fn options_out_of_range_are_refused_by_name_with_their_range() {
         (&stream, "--delay-ms", &["60001"], "milliseconds from 0 to 60000 is allowed"),
         (&render, "--width", &["0", "16385"], "pixels from 1 to 16384 is allowed"),
         (&render, "--background", &["nan", "2", "0,0"], "allowed"),
+        (&render, "--level", &["4", "nan"], "levels from 0 to 3 is allowed"),
+        (&render, "--frame", &["nan", "-1", "1e9"], "frames from 0 to 4294967295 is allowed"),
         (&demo, "--contexts", &["0", "65"], "contexts from 1 to 64 is allowed"),
     ] {
         for value in values {
@@ -359,6 +362,16 @@ fn what_is_served_is_played() {
     let text = ok(at, &[&["play", url, "-o", "frames", "--reference", "a b.dgs"][..], &small].concat());
     assert!(text.contains("12 frames shown of a clip of 12") && text.contains("PSNR"), "{text}");
     assert!(at.join("frames/00011.png").is_file());
+    // Pictures are those that `dgs render` makes of the file, and say of which camera.
+    let compare = ["compare", "frames", "a b.dgs", "--frames", "11", "--json"];
+    let json: serde_json::Value = serde_json::from_str(&ok(at, &compare)).unwrap();
+    assert!(json["summary"][0]["mean"].as_f64().unwrap() > 50.0, "{json}");
+    let index = std::fs::read_to_string(at.join("frames/sequence.json")).unwrap();
+    assert!(index.contains("the first of 8 cameras around the scene"), "{index}");
+    // Nothing is played that could not be compared.
+    ok(at, &["encode", "synth:figure:1000:3", "--out", "short.dgs", "--pictures", "0"]);
+    let error = refused(at, &["play", url, "-o", "other", "--reference", "short.dgs"]);
+    assert!(error.contains("--reference has 3 frames; the stream that is served has 12"), "{error}");
     let json: serde_json::Value = serde_json::from_str(&ok(at, &["play", url, "--json"])).unwrap();
     assert_eq!(json["report"]["shown_count"], 12);
     let web = url.replace("dgs://", "https://");

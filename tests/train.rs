@@ -98,6 +98,8 @@ fn a_training_writes_a_stream_a_checkpoint_a_log_and_a_report() {
     let before = fs::read(at.join("out/scene.dgs")).unwrap();
     let error = refused(at, &["-o", "out"]);
     assert!(error.contains("out: holds a training; --resume"), "{error}");
+    let error = refused(at, &["-o", "new.dgs"]);
+    assert!(error.contains("new.dgs: several files are written") && !at.join("new.dgs").exists(), "{error}");
     assert_eq!(fs::read(at.join("out/scene.dgs")).unwrap(), before);
     ok(at, &["-o", "out", "--overwrite", "--utility"]);
     assert!(fs::read(at.join("out/scene.dgs")).unwrap() == before, "the same bytes");
@@ -118,12 +120,16 @@ fn an_interrupted_training_goes_on_to_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     ok(at, &["-o", "whole"]);
-    let mut child = command(at, &["-o", "parts"]).stdout(Stdio::null()).spawn().unwrap();
+    let mut child =
+        command(at, &["-o", "parts"]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     while !at.join("parts/checkpoint.dgst").exists() && child.try_wait().unwrap().is_none() {
         thread::sleep(Duration::from_millis(5));
     }
     let _ = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert_eq!(child.wait().unwrap().code(), Some(2), "done, but not all of it");
+    let stopped = child.wait_with_output().unwrap();
+    assert_eq!(stopped.status.code(), Some(2), "done, but not all of it");
+    let heard = String::from_utf8_lossy(&stopped.stderr);
+    assert!(heard.contains("interrupted: the checkpoint is whole; its stream and report follow"), "{heard}");
     // Without --steps: as many as the checkpoint was part of.
     let output = Command::new(env!("CARGO_BIN_EXE_dgs"))
         .current_dir(at)

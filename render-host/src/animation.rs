@@ -288,6 +288,36 @@ mod tests {
         assert!(Animation::begin(Vec::new(), AnimationFormat::Apng, (12, 8), 1, f64::NAN).is_err());
     }
 
+    /// A file with room for so many bytes.
+    struct Disk(usize);
+
+    impl Write for Disk {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            let fits = bytes.len().min(self.0);
+            self.0 -= fits;
+            if fits == 0 { Err(std::io::ErrorKind::StorageFull.into()) } else { Ok(fits) }
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    /// Also where the file is closed in the middle.
+    #[test]
+    fn a_full_disk_is_an_error_and_no_panic() {
+        for format in [AnimationFormat::Gif, AnimationFormat::Apng] {
+            for room in [0, 20, 500] {
+                let whole =
+                    Animation::begin(Disk(room), format, (12, 8), 3, 30.0).and_then(|mut animation| {
+                        pictures().iter().try_for_each(|picture| animation.add(picture))?;
+                        animation.finish()
+                    });
+                assert!(matches!(whole, Err(ImageError::Codec(_))), "{format:?}, {room} bytes");
+            }
+        }
+    }
+
     #[test]
     fn times_are_fractions_of_sixteen_bits() {
         assert_eq!(delay(30.0), (1, 30));

@@ -36,7 +36,7 @@ pub struct CodecArgs {
     )]
     pub target_bits_per_gaussian: Option<f64>,
     /// Choose the coarseness: at most this many bytes on the wire (manifest, packets and parity).
-    #[arg(long, value_name = "BYTES", group = "fineness", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "BYTES", group = "fineness", value_parser = whole::<u64>(1..=u64::MAX, "bytes"))]
     pub target_bytes: Option<u64>,
     /// Choose the coarseness: at least this PSNR in dB, above 0 and at most 99, from validation (never
     /// held-out) cameras.

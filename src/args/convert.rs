@@ -5,12 +5,16 @@ use std::path::PathBuf;
 use clap::Args;
 use trainer_host::edit::{Bounds, Condition, Similarity};
 
-use super::{FrameRange, SceneArgs, number::real};
+use super::{
+    FrameRange, SceneArgs,
+    number::{name, real, whole},
+};
 
 /// `dgs convert`.
 #[derive(Debug, Args)]
 pub struct Convert {
     /// Scene, as for import, or a .dgs file.
+    #[arg(value_parser = name())]
     pub input: String,
     /// NAME.ply, .compressed.ply, .spz, .splat, .sog, .glb or .gltf (KHR_gaussian_splatting; .gltf with its
     /// buffer beside it as NAME.bin) for one frame, .4dgs or a folder for a PLY sequence of all.
@@ -19,7 +23,7 @@ pub struct Convert {
     #[arg(long, value_name = "FIRST..LAST")]
     pub frames: Option<FrameRange>,
     /// Add the Gaussians of another scene, of as many frames or of one; may be given again.
-    #[arg(long, value_name = "SCENE")]
+    #[arg(long, value_name = "SCENE", value_parser = name())]
     pub merge: Vec<String>,
     /// Keep what is inside of this box at any frame; - leaves a side open.
     #[arg(long, value_name = "x,y,z,X,Y,Z", allow_hyphen_values = true)]
@@ -38,13 +42,13 @@ pub struct Convert {
     #[arg(long, value_name = "STEPS")]
     pub transform: Option<Similarity>,
     /// Keep harmonics up to this degree, 0 to 3.
-    #[arg(long, value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, value_parser = whole::<u8>(0..=3, "degrees"))]
     pub sh_degree: Option<u8>,
     /// Leave axes as they are.
     #[arg(long)]
     pub keep_axes: bool,
     /// The frame for a single file [default: 0].
-    #[arg(long)]
+    #[arg(long, value_parser = whole::<u32>(0..=u32::MAX, "frames"))]
     pub frame: Option<u32>,
     /// Replace a folder of frames that is there already, or a .bin of something else where a .gltf goes.
     #[arg(long)]

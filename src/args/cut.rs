@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::FrameRange;
+use super::{FrameRange, number::whole};
 
 /// `dgs cut`.
 #[derive(Debug, Args)]
@@ -14,7 +14,7 @@ pub struct Cut {
     /// The .dgs file to write; - is standard output.
     pub out: PathBuf,
     /// Keep levels up to this, 0 to 3; a packet that brings a lower one too stays.
-    #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, value_name = "LEVEL", value_parser = whole::<u8>(0..=3, "levels"))]
     pub levels: Option<u8>,
     /// Keep these frames as a shorter clip that begins at 0: FIRST..LAST with LAST included, FIRST.., or one.
     /// Windows of motion stay whole, so that the clip begins with the one that FIRST is in and ends with that
@@ -24,7 +24,7 @@ pub struct Cut {
     /// Keep at most this many bytes of file: what adds most to the picture per byte, by the utilities beside
     /// INPUT (`dgs encode --utility` writes them); lower levels first where there are none. What fits no
     /// more is passed over for what does, and parity comes last.
-    #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "BYTES", value_parser = whole::<u64>(1..=u64::MAX, "bytes"))]
     pub bytes: Option<u64>,
     /// Write packets window after window, as an encoder does that follows a recording; else they lie by
     /// level, or by what they add to the picture where utilities are beside INPUT.

@@ -2,6 +2,8 @@
 
 use std::{fmt::Display, ops::RangeInclusive, str::FromStr};
 
+use clap::builder::{OsStringValueParser, TypedValueParser};
+
 /// Parses a whole number within `range`, in `unit`.
 pub(super) fn whole<N>(
     range: RangeInclusive<N>,
@@ -15,6 +17,14 @@ where
             format!("a whole number of {unit} from {} to {} is allowed", range.start(), range.end())
         })
     }
+}
+
+/// Parses the name of a scene or stream. Scenes are also built in and served by name, so that names of those
+/// are Unicode.
+pub(super) fn name() -> impl TypedValueParser<Value = String> {
+    OsStringValueParser::new().try_map(|typed| {
+        typed.into_string().map_err(|_| "a name in Unicode (UTF-8) is allowed; rename the file")
+    })
 }
 
 /// Parses a number within `range`, in `unit`; never NaN.

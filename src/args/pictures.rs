@@ -7,7 +7,7 @@ use render_host::camera::MAX_SIDE;
 
 use super::{
     CameraArgs, DeviceName, FrameRange, SceneArgs, ViewArgs,
-    number::{background, real, whole},
+    number::{background, name, real, whole},
 };
 use crate::pictures::VideoCodec;
 
@@ -15,6 +15,7 @@ use crate::pictures::VideoCodec;
 #[derive(Debug, Args)]
 pub struct Render {
     /// A .dgs file, of which - is one at standard input, or a scene.
+    #[arg(value_parser = name())]
     pub input: String,
     /// NAME.png, .jpg or .webp for one image; .apng or .gif for an animation; .mp4 or .webm for a video; -
     /// for one PNG to standard output; or a folder of PNG. Several images are all frames from one camera, or
@@ -35,14 +36,14 @@ pub struct Render {
     )]
     pub rate: Option<f64>,
     /// The frame of a single image [default: 0, or the time of a camera that has one].
-    #[arg(long)]
+    #[arg(long, value_parser = whole::<u32>(0..=u32::MAX, "frames"))]
     pub frame: Option<u32>,
     /// Frames to show where there are several images, FIRST..LAST with LAST included, FIRST.., or one
     /// [default: all].
     #[arg(long, value_name = "FIRST..LAST", conflicts_with = "frame")]
     pub frames: Option<FrameRange>,
     /// Highest level to use of a stream, 0 to 3.
-    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, default_value_t = 3, value_parser = whole::<u8>(0..=3, "levels"))]
     pub level: u8,
     /// Where to look from.
     #[command(flatten)]
@@ -103,8 +104,10 @@ pub enum RenderBackground {
 pub struct Compare {
     /// What is looked at: a scene, a .dgs file (- is one at standard input), a picture, or a folder of
     /// pictures.
+    #[arg(value_parser = name())]
     pub a: String,
     /// What it is compared with: the reference.
+    #[arg(value_parser = name())]
     pub b: String,
     /// Write each picture of A, of B and their FLIP error map, side by side, to this folder.
     #[arg(short, long, value_name = "FOLDER")]
@@ -116,7 +119,7 @@ pub struct Compare {
     #[arg(long, value_name = "FIRST..LAST")]
     pub frames: Option<FrameRange>,
     /// Highest level to use of a stream, 0 to 3.
-    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, default_value_t = 3, value_parser = whole::<u8>(0..=3, "levels"))]
     pub level: u8,
     /// Weights of LPIPS (AlexNet, safetensors), to measure it too.
     #[arg(long, value_name = "FILE")]

@@ -10,7 +10,7 @@ use dgs_quic::{
 
 use super::{
     CameraArgs, CodecArgs, PolicyName, SceneArgs, ViewArgs,
-    number::{not_negative, positive, whole},
+    number::{name, not_negative, positive, whole},
 };
 use crate::pictures::VideoCodec;
 
@@ -24,7 +24,7 @@ fn here() -> SocketAddr {
 pub struct Serve {
     /// .dgs files or scenes (which are encoded first), each called by its file name without extension; `-` is
     /// a stream from standard input, called `live`, served while it is written.
-    #[arg(required = true, value_name = "STREAM|SCENE|-")]
+    #[arg(required = true, value_name = "STREAM|SCENE|-", value_parser = name())]
     pub inputs: Vec<String>,
     /// Publish at a relay of Media over QUIC instead, for all who play the same address, again and again, and
     /// `-` window by window as it comes, once: `moq+https://HOST[:PORT][/NAME][#PIN]`; without a name each

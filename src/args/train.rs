@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use super::{
     codec::CodecArgs,
     device::DeviceName,
-    number::{background, not_negative, real, whole},
+    number::{background, name, not_negative, real, whole},
     scene::SceneArgs,
 };
 
@@ -24,6 +24,7 @@ pub struct Train {
     /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), transforms.json (Nerfstudio),
     /// sparse/0 (COLMAP) or train_meta.json (Panoptic). Or any scene that import reads: its own renders are
     /// then the photographs, and a sequence without identity becomes one moving scene.
+    #[arg(value_parser = name())]
     pub input: String,
     /// Folder to write into.
     #[arg(short, long, default_value = "dgs-train")]
@@ -56,7 +57,7 @@ pub struct Train {
     #[arg(long, value_parser = whole::<usize>(0..=65_536, "nodes"))]
     pub nodes: Option<usize>,
     /// Degree of the spherical harmonics, 0 to 3 [default: 2].
-    #[arg(long, value_parser = clap::value_parser!(u8).range(0..=3))]
+    #[arg(long, value_parser = whole::<u8>(0..=3, "degrees"))]
     pub sh_degree: Option<u8>,
     /// Longest side of the photographs that are trained on, pixels: larger ones are halved, or more, and cut
     /// by a few pixels where that does not divide them; --delivery compares with no larger ones [default:

@@ -8,7 +8,7 @@ use render_host::camera::MAX_SIDE;
 
 use super::{
     CodecArgs, SceneArgs,
-    number::{background, not_negative, whole},
+    number::{background, name, not_negative, whole},
 };
 
 /// `dgs view`.
@@ -17,7 +17,7 @@ use super::{
 pub struct View {
     /// .dgs files or scenes (which are encoded first), each called by its file name without extension; with
     /// --window one of them, or http(s)://….dgs by byte ranges, or the dgs:// URL of a server.
-    #[arg(required = true, value_name = "STREAM|SCENE|URL")]
+    #[arg(required = true, value_name = "STREAM|SCENE|URL", value_parser = name())]
     pub inputs: Vec<String>,
     /// TCP port of the page on this machine; 0 takes a free one.
     #[arg(long, default_value_t = 4641, conflicts_with = "native")]

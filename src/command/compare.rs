@@ -26,6 +26,7 @@ use crate::{
     figures::{counted, mean},
     files::{self, FrameFolder},
     output::VerbOutput,
+    pictures::PictureOutput,
     pipeline::{self, Frames, Quiet},
     progress::Progress,
 };
@@ -63,6 +64,9 @@ struct MetricSummary {
 /// Runs the verb.
 pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
     if let Some(out) = &args.out {
+        if PictureOutput::of(out, None).is_ok_and(|output| output != PictureOutput::Folder) {
+            bail!("{}: several pictures are written: name a folder, without an ending", out.display());
+        }
         FrameFolder::check(out, args.overwrite)?;
         files::check_apart(out, &[Path::new(&args.a), Path::new(&args.b)])?;
     }

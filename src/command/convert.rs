@@ -33,8 +33,9 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let progress = Progress::new("convert", quiet.0);
     let mut warnings = Vec::new();
     let (alone, only) = (alone(args, output).then_some(only), only);
-    let scene = read(&args.input, &args.scene, alone, &progress, &mut |w| warnings.push(w))?;
-    let only = if alone.is_some() && scene.frames() == 1 { 0 } else { only };
+    let (scene, is_decoded_alone) =
+        read(&args.input, &args.scene, alone, &progress, &mut |w| warnings.push(w))?;
+    let only = if is_decoded_alone { 0 } else { only };
     progress.stage("editing", 0.3);
     let before = (scene.max_count(), scene.frames());
     let scene = edited(args, scene, &progress, &mut warnings)?;
@@ -101,23 +102,25 @@ fn alone(args: &Convert, output: SceneOutput) -> bool {
     matches!(output, SceneOutput::File(_)) && args.merge.is_empty() && args.frames.is_none() && !chooses
 }
 
-/// The scene of `input`; a stream is decoded, of which only frame `only` if that is all that is needed.
+/// The scene of `input`; a stream is decoded, of which only frame `only` if that is all that is needed: then
+/// `true` comes with it, and that frame is number 0.
 fn read(
     input: &str,
     args: &SceneArgs,
     only: Option<u32>,
     progress: &Progress,
     warn: &mut dyn FnMut(String),
-) -> Result<Scene> {
+) -> Result<(Scene, bool)> {
     let last = Level::HIGHEST;
     let mut frames = match Frames::open(input, args, last, warn)? {
-        Frames::Scene(scene) => return Ok(*scene),
+        Frames::Scene(scene) => return Ok((*scene, false)),
         stream @ Frames::Stream { .. } => stream,
     };
     let mut epochs = Vec::new();
     let mut left_out = LeftOut::default();
     // One that is not there is refused by its number later.
-    let decoded = only.filter(|only| *only < frames.count()).map_or(0..frames.count(), |only| only..only + 1);
+    let only = only.filter(|only| *only < frames.count());
+    let decoded = only.map_or(0..frames.count(), |only| only..only + 1);
     for frame in decoded.clone() {
         progress.step("decoding", (frame - decoded.start) as usize, decoded.len());
         let instant = frames.instant(frame)?;
@@ -130,7 +133,7 @@ fn read(
     scene.footprint = frames.footprint();
     scene.notes = frames.notes().to_vec();
     scene.notes.extend(left_out.sentence(&frames));
-    Ok(scene)
+    Ok((scene, only.is_some()))
 }
 
 /// The scene with what is typed done to it, in the order of the help.
@@ -145,7 +148,7 @@ fn edited(
         scene = edit::frames(&scene, range.start as usize, range.end as usize - 1)?;
     }
     for other in &args.merge {
-        let other_scene =
+        let (other_scene, _) =
             read(other, &args.scene, None, progress, &mut |w| warnings.push(w)).context("--merge")?;
         let turn = turn_between(other_scene.up, scene.up);
         let other_scene =

@@ -40,13 +40,19 @@ struct States<'a> {
     /// The viewer that is typed, once the manifest is there, and the frame that it sees next.
     watching: Option<Result<Watching>>,
     next: u32,
+    /// Frames of the file that what is shown is compared with.
+    wanted: Option<u32>,
 }
 
 impl FrameSink for States<'_> {
     fn manifest(&mut self, message: &[u8]) {
-        if self.args.cameras.is_typed() && self.watching.is_none() {
-            self.watching = Some(watching(self.args, message));
+        if self.watching.is_some() {
+            return;
         }
+        self.watching = match self.wanted.map_or(Ok(()), |wanted| check_frames(wanted, message)) {
+            Err(error) => Some(Err(error)),
+            Ok(()) => self.args.cameras.is_typed().then(|| watching(self.args, message)),
+        };
     }
 
     fn show(&mut self, player: &mut dgs_player::Player, frame: u32) -> Result<(), String> {
@@ -70,6 +76,15 @@ impl FrameSink for States<'_> {
             _ => None,
         }
     }
+}
+
+/// Refuses a stream that has not as many frames as the file that it is compared with.
+fn check_frames(wanted: u32, manifest: &[u8]) -> Result<()> {
+    let found = dgs_player::Player::new(manifest, &Caps::HOST)?.info().frames;
+    if wanted != found {
+        bail!("--reference has {wanted} frames; the stream that is served has {found}");
+    }
+    Ok(())
 }
 
 /// The viewer that is typed, before a stream of which the manifest alone is there: its proxies say where the
@@ -112,7 +127,8 @@ pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
     };
     let draws = args.out.is_some() || reference.is_some();
     let (shown, newest) = (BTreeMap::new(), Arc::default());
-    let mut states = States { args, draws, shown, newest, watching: None, next: 0 };
+    let wanted = reference.as_ref().map(Stream::receive).transpose()?.map(|whole| whole.info().frames);
+    let mut states = States { args, draws, shown, newest, watching: None, next: 0, wanted };
     let played = runtime()?.block_on(async {
         match args.url.scheme {
             Scheme::Moq => relay::play(&config, &mut states, interruption()).await,
@@ -224,16 +240,13 @@ fn draw(
     let content = received.content();
     let whole = reference.map(Stream::receive).transpose()?;
     let complete = whole.as_ref().map(|whole| whole.content());
-    if let Some(complete) = &complete {
-        let (has, wants) = (complete.manifest.head().frames, content.manifest.head().frames);
-        if has != wants {
-            bail!("--reference has {has} frames; the stream that was played has {wants}");
-        }
-    }
     let overwrite = args.overwrite;
     let run = PictureRun { pictures: states.len(), frames_per_second, quality: None, overwrite };
     let writer = output.filter(|_| !states.is_empty());
     let mut writer = writer.map(|(out, output)| PictureWriter::begin(out, output, run)).transpose()?;
+    if let Some(writer) = &mut writer {
+        writer.name_cameras(watching.description());
+    }
     let shown: Vec<(u32, Option<&[u8]>)> =
         states.iter().map(|(frame, state)| (*frame, Some(&**state))).collect();
     let mut psnr_db = BTreeMap::new();

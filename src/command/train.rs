@@ -50,6 +50,9 @@ use crate::{
 /// What is left where a person leaves before the scene is encoded, and after.
 const TRAINED: &str = "the checkpoint is whole; --resume encodes it";
 const ENCODED: &str = "checkpoint and stream are whole; the report is not there";
+/// What a person hears whose wish to stop was heard, before work that may take minutes.
+const STOPPED: &str =
+    "interrupted: the checkpoint is whole; its stream and report follow, or not if interrupted again";
 
 /// Share of a clip before the first photograph, or after the last, of which nothing is said.
 const UNSEEN: f32 = 0.05;
@@ -241,6 +244,9 @@ fn finish(
     stop: &Interruption,
     quiet: Quiet,
 ) -> Result<VerbOutput> {
+    if ended.interrupted {
+        eprintln!("{STOPPED}");
+    }
     let mut tuning = None;
     let written = match delivery.filter(|_| !ended.interrupted) {
         Some(options) => {

@@ -4,9 +4,9 @@ use anyhow::{Result, bail};
 use codec_core::internals::{receiver::Content, wire::receipt::ViewerPose};
 use emulator_host::session::ViewerPath;
 use render_host::{Backend, Camera, Image, Settings};
-use trainer_host::{evaluator, viewpoint::Ring};
+use trainer_host::evaluator;
 
-use super::{Frames, Showing, Surroundings, viewpoints};
+use super::{Frames, RENDER_RING, Showing, Surroundings, viewpoints};
 use crate::args::{CameraArgs, ViewArgs};
 
 /// One viewer.
@@ -14,10 +14,11 @@ use crate::args::{CameraArgs, ViewArgs};
 pub struct Watching {
     /// At least one; the camera of a frame is that of its number, again from the first after the last.
     cameras: Vec<Camera>,
+    description: String,
 }
 
 impl Watching {
-    /// The viewer that is typed, else a held-out camera, before `frames`.
+    /// The viewer that is typed, else where `dgs render` looks from, before `frames`.
     ///
     /// # Errors
     /// Cameras that cannot be read or placed, or several that do not follow the frames.
@@ -26,15 +27,26 @@ impl Watching {
         let mut around = Surroundings {
             own: &[],
             framing: &mut || frames.framing(),
-            ring: (Ring::HeldOut, 1),
+            ring: RENDER_RING,
             size: view.size(),
             up,
         };
         let found = viewpoints(typed, view, &mut around)?;
-        if found.views.len() > 1 && found.showing != Showing::PlayAlong {
-            bail!("a viewer has one camera; found {}: --camera chooses one", found.description);
-        }
-        Ok(Self { cameras: found.views.into_iter().map(|view| view.camera).collect() })
+        let (cameras, description) = match found.showing {
+            Showing::PlayAlong => (found.views.len(), found.description.clone()),
+            // Every camera of a ring could show the whole clip.
+            Showing::Clip => (1, found.of_first()),
+            Showing::OwnFrame => {
+                bail!("a viewer has one camera; found {}: --camera chooses one", found.description)
+            }
+        };
+        let cameras = found.views.into_iter().take(cameras).map(|view| view.camera).collect();
+        Ok(Self { cameras, description })
+    }
+
+    /// For people: what its cameras are.
+    pub fn description(&self) -> &str {
+        &self.description
     }
 
     /// Its camera at `frame`.

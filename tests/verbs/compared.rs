@@ -30,6 +30,9 @@ fn renders_are_compared_with_what_their_cameras_see() {
     // A part of the frames is named as they are.
     fs::remove_file(at.join("p/00000.png")).unwrap();
     assert!(compared(at, &["p", scene]).0 > 50.0);
+    // Several pictures make no file of one.
+    let text = stopped(at, &["compare", scene, scene, "-o", "maps.png"], 1);
+    assert!(text.contains("maps.png: several pictures are written: name a folder"), "{text}");
     // Other cameras than those of the pictures are named.
     ok(at, &[&["render", scene, "-o", "round", "--turntable", "4"], &SMALL[..]].concat());
     let (_, cameras) = compared(at, &["round", scene]);

@@ -84,6 +84,26 @@ fn options_that_mean_nothing_are_named() {
         let text = stopped(at, &["decode", "a.dgs", "--digest", "--frame", past], 1);
         assert!(text.contains(&format!("--frame is {past}; 0 to 2 are allowed")), "{text}");
     }
+    // Nor has a scene of one frame another.
+    let text = stopped(at, &["convert", "a.ply", "b.ply", "--frame", "1"], 1);
+    assert!(text.contains("--frame is 1; 0 to 0 are allowed"), "{text}");
+    ok(at, &["convert", "a.dgs", "b.ply", "--frame", "2"]);
+}
+
+/// Names that are no Unicode are refused with what is wrong and for which argument.
+#[cfg(unix)]
+#[test]
+fn names_that_are_no_unicode_are_named() {
+    use std::{ffi::OsStr, os::unix::ffi::OsStrExt as _};
+
+    let name = OsStr::from_bytes(b"caf\xe9.ply");
+    for verb in [&["import"][..], &["render", "-o", "a.png"], &["encode", "-o", "a.dgs"], &["serve"]] {
+        let output =
+            std::process::Command::new(env!("CARGO_BIN_EXE_dgs")).args(verb).arg(name).output().unwrap();
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert!(text.contains("caf\u{fffd}.ply") && text.contains("a name in Unicode"), "{verb:?}: {text}");
+        assert_eq!(output.status.code(), Some(64), "{verb:?}");
+    }
 }
 
 /// What is behind the scene is left open, and what is in front of it has the colour that it had.

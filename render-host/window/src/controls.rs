@@ -6,7 +6,7 @@ use winit::keyboard::{Key, NamedKey};
 use crate::{WindowError, options::aspect};
 
 /// The keys and what they do, for people.
-pub const KEYS: [(&str, &str); 18] = [
+pub const KEYS: [(&str, &str); 19] = [
     ("Space, K", "play or pause"),
     (", .", "one frame back or on"),
     ("Home End", "to the start or the end"),
@@ -22,6 +22,7 @@ pub const KEYS: [(&str, &str); 18] = [
     ("O", "paint blocks by level, by what just came, by what is missing"),
     ("[ ]", "lose fewer or more packets"),
     ("N", "lose others"),
+    ("P", "another scheduler of the server"),
     ("B", "another background"),
     ("F, Esc", "full screen and back"),
     ("?", "these keys"),
@@ -59,6 +60,7 @@ pub(crate) enum Act {
     Overlay,
     Loss(f64),
     Reseed,
+    Scheduler,
     Background,
     Fullscreen,
     Leave,
@@ -111,6 +113,7 @@ impl Act {
             "[" => Self::Loss(-LOSS_STEP),
             "]" => Self::Loss(LOSS_STEP),
             "n" => Self::Reseed,
+            "p" => Self::Scheduler,
             "b" => Self::Background,
             "f" => Self::Fullscreen,
             "?" => Self::Help,
@@ -156,6 +159,8 @@ impl Act {
                     session.impair(conditions)?;
                 }
             }
+            // Only a server has one.
+            Self::Scheduler => {}
             Self::Background | Self::Fullscreen | Self::Leave | Self::Help => {}
         }
         Ok(())

@@ -8,7 +8,7 @@ use dgs_player::Damage;
 use dgs_viewer::{Conditions, DrawOptions, Drawn, Screen, Session, Wanted, message};
 
 use crate::{
-    Arrival, Feed, FeedRequest, WindowError, WindowOptions,
+    Arrival, Feed, FeedRequest, Scheduler, WindowError, WindowOptions,
     controls::{Act, next_background},
     title::title,
 };
@@ -42,8 +42,9 @@ pub(crate) struct Engine {
     session: Option<Session>,
     /// The last piece of a file that was asked for.
     requested: Option<FeedRequest>,
-    /// The network that the server was last asked for.
+    /// The network and the scheduler that the server was last asked for.
     network: Option<Conditions>,
+    scheduler: Scheduler,
     /// Where the camera was when the server last heard of it.
     said: Option<ViewerPose>,
     drawn: Drawn,
@@ -73,6 +74,7 @@ impl Engine {
             session: None,
             requested: None,
             network: None,
+            scheduler: Scheduler::Own,
             said: None,
             drawn: None,
             state: None,
@@ -98,13 +100,18 @@ impl Engine {
         let before = self.network.unwrap_or(session.conditions());
         // A server, if it grants that, chooses packets for the network that is asked for.
         let requested = act.network(before).filter(|_| session.is_live());
-        if let Some(conditions) = requested {
-            self.network = requested;
-            self.feed.request(FeedRequest::Network(conditions));
+        let asks = requested.is_some() || (act == Act::Scheduler && session.is_live());
+        if asks {
+            self.network = requested.or(self.network);
+            if act == Act::Scheduler {
+                self.scheduler = self.scheduler.next();
+            }
+            let (conditions, scheduler) = (self.network, self.scheduler);
+            self.feed.request(FeedRequest::Network { conditions, scheduler });
         } else {
             act.apply(session, size)?;
         }
-        if act.seeks() || requested.is_some() {
+        if act.seeks() || asks {
             self.feed.request(FeedRequest::From(session.playback().time_s()));
         }
         Ok(())
@@ -114,7 +121,7 @@ impl Engine {
     pub fn play(&mut self, name: String, feed: Feed) {
         self.options.name = name;
         (self.feed, self.session, self.requested, self.said) = (feed, None, None, None);
-        self.network = None;
+        (self.network, self.scheduler) = (None, Scheduler::Own);
         (self.drawn, self.state, self.last_s) = (None, None, None);
     }
 
@@ -133,7 +140,8 @@ impl Engine {
         match &self.session {
             Some(session) => {
                 let network = self.network.unwrap_or(session.conditions());
-                title(&self.options.name, session, self.rate, network.loss)
+                let scheduler = self.scheduler.name().map_or(String::new(), |name| format!(" · {name}"));
+                title(&self.options.name, session, self.rate, network.loss) + &scheduler
             }
             None => format!("{} · loading", self.options.name),
         }
@@ -299,7 +307,11 @@ impl Engine {
             }
             (Arrival::Piece { at, bytes }, Some(session)) => session.take(at, &bytes),
             (Arrival::Packet(packet), Some(session)) => session.push(&packet),
-            (Arrival::Network { by_server }, Some(session)) => {
+            (Arrival::Network { by_server, by_scheduler }, Some(session)) => {
+                if let Some(name) = self.scheduler.name().filter(|_| !by_scheduler) {
+                    self.complaints.push(format!("{}: the server does not grant {name}", self.options.name));
+                    self.scheduler = Scheduler::Own;
+                }
                 let here = self.network.filter(|_| !by_server).unwrap_or_default();
                 if here != session.conditions() {
                     session.impair(here)?;

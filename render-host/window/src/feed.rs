@@ -34,16 +34,61 @@ pub enum Arrival {
     Manifest(Vec<u8>),
     /// A packet of it.
     Packet(Vec<u8>),
-    /// What the server makes of the network that was asked for: whether it emulates it. If not, the window
-    /// does.
+    /// What the server makes of the network that was asked for.
     Network {
-        /// Whether it does.
+        /// Whether it emulates it. If not, the window does.
         by_server: bool,
+        /// Whether it chooses packets as was asked for.
+        by_scheduler: bool,
     },
     /// The server begins as if nothing had come.
     Anew,
     /// Nothing more comes, and why, if that is not as it should be.
     End(Option<String>),
+}
+
+/// How a server chooses packets.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Scheduler {
+    /// As it does for everybody.
+    #[default]
+    Own,
+    /// All base packets first, then each level of refinement.
+    Layered,
+    /// Whole segments within a budget of bytes.
+    Dash,
+    /// Groups with all that they need, the earliest deadline first.
+    Dependency,
+    /// What each byte adds to the picture, by the time it arrives.
+    DeadlineUtility,
+    /// The paper's score.
+    DeadlineUtilityPaper,
+}
+
+impl Scheduler {
+    /// The one after this; the server's own after the last.
+    pub(crate) fn next(self) -> Self {
+        match self {
+            Self::Own => Self::Layered,
+            Self::Layered => Self::Dash,
+            Self::Dash => Self::Dependency,
+            Self::Dependency => Self::DeadlineUtility,
+            Self::DeadlineUtility => Self::DeadlineUtilityPaper,
+            Self::DeadlineUtilityPaper => Self::Own,
+        }
+    }
+
+    /// Its name, as `dgs serve --policy` has it; `None` of the server's own.
+    pub(crate) fn name(self) -> Option<&'static str> {
+        match self {
+            Self::Own => None,
+            Self::Layered => Some("layered"),
+            Self::Dash => Some("dash"),
+            Self::Dependency => Some("dependency"),
+            Self::DeadlineUtility => Some("deadline-utility"),
+            Self::DeadlineUtilityPaper => Some("deadline-utility-paper"),
+        }
+    }
 }
 
 /// What the window asks for.
@@ -55,8 +100,13 @@ pub enum FeedRequest {
     Whole,
     /// The stream from this time on, seconds.
     From(f64),
-    /// The stream through a network of these conditions, from the time of a [`FeedRequest::From`] on.
-    Network(Conditions),
+    /// The stream through another network, from the time of a [`FeedRequest::From`] on.
+    Network {
+        /// The conditions of it; `None` leaves them as they are.
+        conditions: Option<Conditions>,
+        /// How packets are chosen for it.
+        scheduler: Scheduler,
+    },
     /// First of all what is seen from here.
     Sight(ViewerPose),
 }

@@ -63,6 +63,9 @@ impl Folder {
         if args.resume && !begun.iter().any(|file| file.is_file()) {
             bail!("{}: no such checkpoint; train without --resume first", self.checkpoint.display());
         }
+        if !out.is_dir() && out.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("dgs")) {
+            bail!("{}: several files are written, among them scene.dgs: name a folder", out.display());
+        }
         std::fs::create_dir_all(out)
             .with_context(|| format!("{}: cannot make this folder", out.display()))?;
         let lock = lock(out)?;

@@ -18,8 +18,8 @@ use dgs_quic::socket::{
     ClientConfig, Conditions, FrameSink, Granted, Locator, RoundRequest, Trust, ViewerLink, play,
 };
 use dgs_viewer::{Conditions as Network, FIRST_BYTES};
-use dgs_window::{Arrival, Feed, FeedRequest, Feeder, feed};
-use emulator_host::Rate;
+use dgs_window::{Arrival, Feed, FeedRequest, Feeder, Scheduler, feed};
+use emulator_host::{PolicyKind, Rate};
 use ureq::{Agent, Body, http::Response};
 
 use crate::command::socket::runtime;
@@ -161,7 +161,9 @@ impl FrameSink for Forwarding {
         for request in self.requests.try_iter() {
             match request {
                 FeedRequest::From(seconds) => self.wanted_us = Some((seconds * 1e6) as u64),
-                FeedRequest::Network(network) => self.conditions = Some(conditions(&network)),
+                FeedRequest::Network { conditions: network, scheduler } => {
+                    self.conditions = Some(conditions(network.as_ref(), scheduler));
+                }
                 FeedRequest::Sight(pose) => self.pose = Some(pose),
                 FeedRequest::Bytes(_) | FeedRequest::Whole => {}
             }
@@ -175,7 +177,7 @@ impl FrameSink for Forwarding {
     }
 
     fn granted(&mut self, granted: Granted) {
-        self.send(Arrival::Network { by_server: granted.link });
+        self.send(Arrival::Network { by_server: granted.link, by_scheduler: granted.scheduler });
     }
 
     fn forget(&mut self) {
@@ -189,13 +191,28 @@ impl FrameSink for Forwarding {
 
 /// What a window asks for, as a server is asked for it: from then on each round begins with nothing, since
 /// of a scene that is all there no packet is lost.
-fn conditions(network: &Network) -> Conditions {
+fn conditions(network: Option<&Network>, scheduler: Scheduler) -> Conditions {
+    let wanted = Conditions::NONE.with_rounds_anew();
+    let wanted = policy(scheduler).map_or(wanted, |policy| wanted.with_scheduler(policy));
+    let Some(network) = network else { return wanted.with_link_as_it_is() };
     let Network { loss, burst, rate_bps, delay_s, seed } = *network;
     let rate = rate_bps.map(|bps| Rate(bps.round() as u64));
     let delay = Duration::from_secs_f64(delay_s.clamp(0.0, 1.0));
     let link = ViewerLink { rate, delay, loss, burst, seed: seed as u32 };
     // What keys ask for is in range.
-    Conditions::NONE.with_rounds_anew().behind(&link).unwrap_or(Conditions::NONE)
+    wanted.behind(&link).unwrap_or(wanted)
+}
+
+/// The policy of a scheduler; `None` is the server's own.
+fn policy(scheduler: Scheduler) -> Option<PolicyKind> {
+    match scheduler {
+        Scheduler::Own => None,
+        Scheduler::Layered => Some(PolicyKind::Layered),
+        Scheduler::Dash => Some(PolicyKind::Dash),
+        Scheduler::Dependency => Some(PolicyKind::Dependency),
+        Scheduler::DeadlineUtility => Some(PolicyKind::DeadlineUtility),
+        Scheduler::DeadlineUtilityPaper => Some(PolicyKind::DeadlineUtilityPaper),
+    }
 }
 
 /// Receives until `stop`.
@@ -279,7 +296,7 @@ fn fetch(agent: &Agent, url: &str, feeder: &Feeder, stop: &AtomicBool) -> Result
                 Answer::Part { .. } => bail!("a part came where the whole was asked for"),
             },
             // A file is fetched in its own order.
-            Ok(FeedRequest::From(_) | FeedRequest::Network(_) | FeedRequest::Sight(_)) => continue,
+            Ok(FeedRequest::From(_) | FeedRequest::Network { .. } | FeedRequest::Sight(_)) => continue,
             Err(TryRecvError::Empty) => {
                 thread::sleep(POLL_INTERVAL / 10);
                 continue;

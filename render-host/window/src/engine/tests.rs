@@ -133,9 +133,9 @@ fn a_server_emulates_the_network_that_is_wished_for_or_the_window_does() {
     for loss in [0.05, 0.1] {
         engine.act(Act::Loss(0.05), SIZE).unwrap();
         let requests: Vec<_> = feeder.requests.try_iter().collect();
-        let requested = requests
-            .iter()
-            .find_map(|request| if let FeedRequest::Network(it) = request { Some(*it) } else { None });
+        let requested = requests.iter().find_map(|request| {
+            if let FeedRequest::Network { conditions, .. } = request { *conditions } else { None }
+        });
         assert!(
             requested.is_some_and(|it| it.loss == loss) && requests.contains(&FeedRequest::From(0.0)),
             "{requests:?}"
@@ -143,13 +143,57 @@ fn a_server_emulates_the_network_that_is_wished_for_or_the_window_does() {
         assert!(engine.title().contains(&format!("{:.0} % of packets lost", 100.0 * loss)));
         assert!(here(&engine).is_perfect(), "until it has answered");
     }
-    feeder.arrivals.send(Arrival::Network { by_server: true }).unwrap();
+    feeder.arrivals.send(Arrival::Network { by_server: true, by_scheduler: false }).unwrap();
     feeder.arrivals.send(Arrival::Anew).unwrap();
     engine.tick(0.0, None, SIZE).unwrap();
     assert!(here(&engine).is_perfect() && all > 0 && bytes(&engine) == 0);
-    feeder.arrivals.send(Arrival::Network { by_server: false }).unwrap();
+    feeder.arrivals.send(Arrival::Network { by_server: false, by_scheduler: false }).unwrap();
     engine.tick(0.0, None, SIZE).unwrap();
     assert_eq!(here(&engine).loss, 0.1);
+}
+
+/// A key goes through the schedulers of the server, whose link stays as it is, and back to its own.
+#[test]
+fn a_server_is_asked_for_another_scheduler() {
+    let (feeder, feed) = feed();
+    let mut engine = Engine::new(options(), feed);
+    let stream = dgs_player::Stream::from_bytes(&file()).unwrap().0;
+    feeder.arrivals.send(Arrival::Manifest(stream.message().to_vec())).unwrap();
+    engine.tick(0.0, None, SIZE).unwrap();
+    let act = Act::of(&winit::keyboard::Key::Character("p".into()), false).unwrap();
+    let press = |engine: &mut Engine| {
+        engine.act(act, SIZE).unwrap();
+        let requests: Vec<_> = feeder.requests.try_iter().collect();
+        assert!(requests.contains(&FeedRequest::From(0.0)), "{requests:?}");
+        requests.into_iter().find(|request| matches!(request, FeedRequest::Network { .. })).unwrap()
+    };
+    let asked = |scheduler| FeedRequest::Network { conditions: None, scheduler };
+    for (scheduler, name) in [
+        (Scheduler::Layered, " · layered"),
+        (Scheduler::Dash, " · dash"),
+        (Scheduler::Dependency, " · dependency"),
+        (Scheduler::DeadlineUtility, " · deadline-utility"),
+        (Scheduler::DeadlineUtilityPaper, " · deadline-utility-paper"),
+    ] {
+        assert_eq!(press(&mut engine), asked(scheduler));
+        feeder.arrivals.send(Arrival::Network { by_server: true, by_scheduler: true }).unwrap();
+        engine.tick(0.0, None, SIZE).unwrap();
+        assert!(engine.title().ends_with(name), "{}", engine.title());
+    }
+    assert_eq!(press(&mut engine), asked(Scheduler::Own));
+    assert!(engine.title().ends_with("frames/s"), "{}", engine.title());
+    // What is not granted is said and no longer shown; a file has no server.
+    press(&mut engine);
+    feeder.arrivals.send(Arrival::Network { by_server: true, by_scheduler: false }).unwrap();
+    engine.tick(0.0, None, SIZE).unwrap();
+    assert!(engine.title().ends_with("frames/s") && engine.complaints[0].contains("does not grant layered"));
+    let (feeder, feed) = crate::feed();
+    let mut engine = Engine::new(options(), feed);
+    feeder.arrivals.send(Arrival::File(file())).unwrap();
+    engine.tick(0.0, None, SIZE).unwrap();
+    feeder.requests.try_iter().for_each(drop);
+    engine.act(act, SIZE).unwrap();
+    assert_eq!(feeder.requests.try_iter().count(), 0);
 }
 
 /// A screen in memory; `None` on a machine without any driver, which in CI is a failure.
