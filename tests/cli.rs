@@ -397,7 +397,7 @@ fn what_is_served_is_played() {
     let mut rest = String::new();
     said.read_to_string(&mut rest).unwrap();
     assert!(server.0.wait().unwrap().success());
-    assert!(rest.contains("4 viewers; 1 handshakes failed") && rest.contains("unknown stream 1"), "{rest}");
+    assert!(rest.contains("5 viewers; 1 handshakes failed") && rest.contains("unknown stream 1"), "{rest}");
     assert!(rest.contains("page: 3 requests on 3 connections"), "{rest}");
     let error = refused(at, &["serve", "a b.dgs", "a b.dgs", "--listen", "127.0.0.1:0"]);
     assert!(error.contains("two streams are called a-b"), "{error}");

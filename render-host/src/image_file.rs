@@ -225,7 +225,7 @@ fn decode_png(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
     let info = decoder.read_header_info().map_err(codec)?;
     let size = (info.width, info.height);
     bounds.check(size)?;
-    capacity::check_png(size, info.bits_per_pixel(), bytes.len())?;
+    capacity::check_png(size, info.bits_per_pixel(), bytes.len()).map_err(codec)?;
     decoder.set_transformations(Transformations::EXPAND);
     let mut reader = decoder.read_info().map_err(codec)?;
     let len = reader.output_buffer_size().ok_or_else(|| codec("larger than the memory"))?;
@@ -255,7 +255,7 @@ fn decode_jpeg(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
     let (width, height) = decoder.dimensions().ok_or_else(|| codec("no size"))?;
     let size = (width as u32, height as u32);
     bounds.check(size)?;
-    capacity::check_jpeg(size, bytes.len())?;
+    capacity::check_jpeg(size, bytes.len()).map_err(codec)?;
     let grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
     let colours = if grey { ColorSpace::Luma } else { ColorSpace::RGB };
     decoder.set_options(options.jpeg_set_out_colorspace(colours));
@@ -273,7 +273,7 @@ fn decode_webp(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
     let mut decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(codec)?;
     let size = decoder.dimensions();
     bounds.check(size)?;
-    capacity::check_webp(size, bytes, bounds.flat_bytes)?;
+    capacity::check_webp(size, bytes, bounds.flat_bytes).map_err(codec)?;
     let mut data = vec![0; decoder.output_buffer_size().ok_or_else(|| codec("larger than the memory"))?];
     decoder.read_image(&mut data).map_err(codec)?;
     Rgba8::new(size, if decoder.has_alpha() { data } else { rgb_to_rgba(&data) })
@@ -369,5 +369,94 @@ mod tests {
         }
         assert!(Rgba8::decode(b"not an image", BOUNDS).is_err());
         assert!(claimed_size(Cursor::new(b"not an image")).is_err());
+    }
+
+    const LARGE: Bounds = Bounds { side: 16_384, bytes: 1 << 30, flat_bytes: 64 << 20 };
+    const SIDE: u32 = 2048;
+
+    /// A PNG of one colour, black or white per pixel.
+    fn png_of_bits() -> Vec<u8> {
+        let mut out = Vec::new();
+        let mut encoder = png::Encoder::new(&mut out, SIDE, SIDE);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::One);
+        encoder.set_compression(png::Compression::High);
+        let mut writer = encoder.write_header().unwrap();
+        writer.write_image_data(&vec![0; (SIDE * SIDE / 8) as usize]).unwrap();
+        writer.finish().unwrap();
+        out
+    }
+
+    /// A grey JPEG of `side` × `side` pixels of one colour with codes of one bit: two bits a block, or one in
+    /// a progressive file, of which only the means are there.
+    fn jpeg_of_bits(side: u16, progressive: bool) -> Vec<u8> {
+        let [high, low] = side.to_be_bytes();
+        let table = |of: u8| [&[0xff, 0xc4, 0, 20, of, 1][..], &[0; 15], &[0]].concat();
+        let frame = if progressive { 0xc2 } else { 0xc0 };
+        let blocks = usize::from(side / 8).pow(2);
+        let scan = vec![0; blocks * if progressive { 1 } else { 2 } / 8];
+        let last = if progressive { 0 } else { 63 };
+        [
+            &[0xff, 0xd8, 0xff, 0xdb, 0, 67, 0][..],
+            &[1; 64],
+            &[0xff, frame, 0, 11, 8, high, low, high, low, 1, 1, 0x11, 0],
+            &table(0x00),
+            &table(0x10),
+            &[0xff, 0xda, 0, 8, 1, 1, 0, 0, last, 0],
+            &scan,
+            &[0xff, 0xd9],
+        ]
+        .concat()
+    }
+
+    /// Files that hold as many pixels for their length as their format can, or nearly, are read.
+    #[test]
+    fn pictures_of_one_colour_are_read() {
+        let rgb = vec![90; (3 * SIDE * SIDE) as usize];
+        let files = [
+            (png_of_bits(), 1700, 0),
+            (png_of_rgb8(SIDE, SIDE, &rgb).unwrap(), 40, 90),
+            (jpeg_of_rgb8(SIDE, SIDE, &rgb, 1).unwrap(), 25, 90),
+            (jpeg_of_bits(2048, false), 250, 128),
+            (jpeg_of_bits(2048, true), 500, 128),
+            (webp_of_rgb8(SIDE, SIDE, &rgb).unwrap(), 100, 90),
+        ];
+        for (at, (bytes, per_byte, grey)) in files.iter().enumerate() {
+            let found = u64::from(SIDE).pow(2) / bytes.len() as u64;
+            assert!(found >= *per_byte, "file {at} has {found} pixels per byte");
+            let decoded = Rgba8::decode(bytes, LARGE).unwrap();
+            assert_eq!(decoded.size(), (SIDE, SIDE), "file {at}");
+            let [r, _, _, a] = decoded.pixel(SIDE - 1, SIDE - 1).unwrap();
+            assert!(r.abs_diff(*grey) < 12 && a == 255, "file {at}: {r}");
+        }
+    }
+
+    /// Headers that claim 16000 × 12000 pixels in front of what small files hold.
+    #[test]
+    fn claims_beyond_the_length_are_refused() {
+        let (wide, high) = (16_000u32, 12_000u32);
+        let rgb = vec![90; 3 * 64 * 64];
+        let mut png = Vec::new();
+        drop(png::Encoder::new(&mut png, wide, high).write_header().unwrap());
+
+        let mut jpeg = jpeg_of_rgb8(64, 64, &rgb, 50).unwrap();
+        let frame = jpeg.windows(2).position(|marker| marker == [0xff, 0xc0]).unwrap();
+        jpeg[frame + 5..frame + 7].copy_from_slice(&(high as u16).to_be_bytes());
+        jpeg[frame + 7..frame + 9].copy_from_slice(&(wide as u16).to_be_bytes());
+
+        let mut lossless = webp_of_rgb8(64, 64, &rgb).unwrap();
+        let header = lossless.windows(4).position(|name| name == b"VP8L").unwrap() + 9;
+        let sizes = (wide - 1) | ((high - 1) << 14);
+        lossless[header..header + 4].copy_from_slice(&sizes.to_le_bytes());
+
+        let mut lossy = b"RIFF\x2c\0\0\0WEBPVP8 \x20\0\0\0\x10\0\0\x9d\x01\x2a".to_vec();
+        lossy.extend([wide as u16, high as u16].map(u16::to_le_bytes).concat());
+        lossy.resize(52, 0);
+
+        for (name, bytes) in [("PNG", png), ("JPEG", jpeg), ("VP8L", lossless), ("VP8", lossy)] {
+            let said = Rgba8::decode(&bytes, LARGE).unwrap_err().to_string();
+            let length = format!("a file of {} bytes holds at most", bytes.len());
+            assert!(said.contains("16000 x 12000") && said.contains(&length), "{name}: {said}");
+        }
     }
 }

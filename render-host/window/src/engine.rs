@@ -8,8 +8,9 @@ use dgs_player::Damage;
 use dgs_viewer::{Conditions, DrawOptions, Drawn, Screen, Session, Wanted, message};
 
 use crate::{
-    Arrival, Feed, FeedRequest, Scheduler, WindowError, WindowOptions,
+    Arrival, Feed, FeedRequest, WindowError, WindowOptions,
     controls::{Act, next_background},
+    feed::next_scheduler,
     title::title,
 };
 
@@ -44,7 +45,7 @@ pub(crate) struct Engine {
     requested: Option<FeedRequest>,
     /// The network and the scheduler that the server was last asked for.
     network: Option<Conditions>,
-    scheduler: Scheduler,
+    scheduler: Option<&'static str>,
     /// Where the camera was when the server last heard of it.
     said: Option<ViewerPose>,
     drawn: Drawn,
@@ -74,7 +75,7 @@ impl Engine {
             session: None,
             requested: None,
             network: None,
-            scheduler: Scheduler::Own,
+            scheduler: None,
             said: None,
             drawn: None,
             state: None,
@@ -104,7 +105,7 @@ impl Engine {
         if asks {
             self.network = requested.or(self.network);
             if act == Act::Scheduler {
-                self.scheduler = self.scheduler.next();
+                self.scheduler = next_scheduler(self.scheduler);
             }
             let (conditions, scheduler) = (self.network, self.scheduler);
             self.feed.request(FeedRequest::Network { conditions, scheduler });
@@ -121,7 +122,7 @@ impl Engine {
     pub fn play(&mut self, name: String, feed: Feed) {
         self.options.name = name;
         (self.feed, self.session, self.requested, self.said) = (feed, None, None, None);
-        (self.network, self.scheduler) = (None, Scheduler::Own);
+        (self.network, self.scheduler) = (None, None);
         (self.drawn, self.state, self.last_s) = (None, None, None);
     }
 
@@ -140,7 +141,7 @@ impl Engine {
         match &self.session {
             Some(session) => {
                 let network = self.network.unwrap_or(session.conditions());
-                let scheduler = self.scheduler.name().map_or(String::new(), |name| format!(" · {name}"));
+                let scheduler = self.scheduler.map_or(String::new(), |name| format!(" · {name}"));
                 title(&self.options.name, session, self.rate, network.loss) + &scheduler
             }
             None => format!("{} · loading", self.options.name),
@@ -308,9 +309,9 @@ impl Engine {
             (Arrival::Piece { at, bytes }, Some(session)) => session.take(at, &bytes),
             (Arrival::Packet(packet), Some(session)) => session.push(&packet),
             (Arrival::Network { by_server, by_scheduler }, Some(session)) => {
-                if let Some(name) = self.scheduler.name().filter(|_| !by_scheduler) {
+                if let Some(name) = self.scheduler.filter(|_| !by_scheduler) {
                     self.complaints.push(format!("{}: the server does not grant {name}", self.options.name));
-                    self.scheduler = Scheduler::Own;
+                    self.scheduler = None;
                 }
                 let here = self.network.filter(|_| !by_server).unwrap_or_default();
                 if here != session.conditions() {

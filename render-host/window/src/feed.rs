@@ -47,48 +47,14 @@ pub enum Arrival {
     End(Option<String>),
 }
 
-/// How a server chooses packets.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Scheduler {
-    /// As it does for everybody.
-    #[default]
-    Own,
-    /// All base packets first, then each level of refinement.
-    Layered,
-    /// Whole segments within a budget of bytes.
-    Dash,
-    /// Groups with all that they need, the earliest deadline first.
-    Dependency,
-    /// What each byte adds to the picture, by the time it arrives.
-    DeadlineUtility,
-    /// The paper's score.
-    DeadlineUtilityPaper,
-}
+/// Schedulers that a server may be asked for, as `dgs serve --policy` names them.
+pub(crate) const SCHEDULERS: [&str; 5] =
+    ["layered", "dash", "dependency", "deadline-utility", "deadline-utility-paper"];
 
-impl Scheduler {
-    /// The one after this; the server's own after the last.
-    pub(crate) fn next(self) -> Self {
-        match self {
-            Self::Own => Self::Layered,
-            Self::Layered => Self::Dash,
-            Self::Dash => Self::Dependency,
-            Self::Dependency => Self::DeadlineUtility,
-            Self::DeadlineUtility => Self::DeadlineUtilityPaper,
-            Self::DeadlineUtilityPaper => Self::Own,
-        }
-    }
-
-    /// Its name, as `dgs serve --policy` has it; `None` of the server's own.
-    pub(crate) fn name(self) -> Option<&'static str> {
-        match self {
-            Self::Own => None,
-            Self::Layered => Some("layered"),
-            Self::Dash => Some("dash"),
-            Self::Dependency => Some("dependency"),
-            Self::DeadlineUtility => Some("deadline-utility"),
-            Self::DeadlineUtilityPaper => Some("deadline-utility-paper"),
-        }
-    }
+/// The one after `now`, which is first or last the server's own, `None`.
+pub(crate) fn next_scheduler(now: Option<&'static str>) -> Option<&'static str> {
+    let after = now.and_then(|now| SCHEDULERS.iter().position(|name| *name == now)).map_or(0, |at| at + 1);
+    SCHEDULERS.get(after).copied()
 }
 
 /// What the window asks for.
@@ -104,8 +70,8 @@ pub enum FeedRequest {
     Network {
         /// The conditions of it; `None` leaves them as they are.
         conditions: Option<Conditions>,
-        /// How packets are chosen for it.
-        scheduler: Scheduler,
+        /// How packets are chosen for it, as `dgs serve --policy` names it; `None` is the server's own way.
+        scheduler: Option<&'static str>,
     },
     /// First of all what is seen from here.
     Sight(ViewerPose),

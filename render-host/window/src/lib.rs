@@ -23,7 +23,7 @@ mod title;
 
 pub use controls::KEYS;
 pub use error::WindowError;
-pub use feed::{Arrival, Feed, FeedRequest, Feeder, Scheduler, feed};
+pub use feed::{Arrival, Feed, FeedRequest, Feeder, feed};
 pub use options::WindowOptions;
 pub use shell::{Report, run};
 pub use still::picture;

@@ -13,16 +13,17 @@ use std::{
 };
 
 use anyhow::{Context, Result, bail};
+use clap::ValueEnum as _;
 use codec_core::internals::wire::receipt::ViewerPose;
 use dgs_quic::socket::{
     ClientConfig, Conditions, FrameSink, Granted, Locator, RoundRequest, Trust, ViewerLink, play,
 };
 use dgs_viewer::{Conditions as Network, FIRST_BYTES};
-use dgs_window::{Arrival, Feed, FeedRequest, Feeder, Scheduler, feed};
-use emulator_host::{PolicyKind, Rate};
+use dgs_window::{Arrival, Feed, FeedRequest, Feeder, feed};
+use emulator_host::Rate;
 use ureq::{Agent, Body, http::Response};
 
-use crate::command::socket::runtime;
+use crate::{args::PolicyName, command::socket::runtime, pipeline::policy};
 
 /// Largest file, bytes.
 const MAX_FILE_BYTES: u64 = 4 << 30;
@@ -191,9 +192,10 @@ impl FrameSink for Forwarding {
 
 /// What a window asks for, as a server is asked for it: from then on each round begins with nothing, since
 /// of a scene that is all there no packet is lost.
-fn conditions(network: Option<&Network>, scheduler: Scheduler) -> Conditions {
+fn conditions(network: Option<&Network>, scheduler: Option<&str>) -> Conditions {
     let wanted = Conditions::NONE.with_rounds_anew();
-    let wanted = policy(scheduler).map_or(wanted, |policy| wanted.with_scheduler(policy));
+    let scheduler = scheduler.and_then(|name| PolicyName::from_str(name, false).ok());
+    let wanted = scheduler.map_or(wanted, |name| wanted.with_scheduler(policy(name)));
     let Some(network) = network else { return wanted.with_link_as_it_is() };
     let Network { loss, burst, rate_bps, delay_s, seed } = *network;
     let rate = rate_bps.map(|bps| Rate(bps.round() as u64));
@@ -201,18 +203,6 @@ fn conditions(network: Option<&Network>, scheduler: Scheduler) -> Conditions {
     let link = ViewerLink { rate, delay, loss, burst, seed: seed as u32 };
     // What keys ask for is in range.
     wanted.behind(&link).unwrap_or(wanted)
-}
-
-/// The policy of a scheduler; `None` is the server's own.
-fn policy(scheduler: Scheduler) -> Option<PolicyKind> {
-    match scheduler {
-        Scheduler::Own => None,
-        Scheduler::Layered => Some(PolicyKind::Layered),
-        Scheduler::Dash => Some(PolicyKind::Dash),
-        Scheduler::Dependency => Some(PolicyKind::Dependency),
-        Scheduler::DeadlineUtility => Some(PolicyKind::DeadlineUtility),
-        Scheduler::DeadlineUtilityPaper => Some(PolicyKind::DeadlineUtilityPaper),
-    }
 }
 
 /// Receives until `stop`.

@@ -154,7 +154,7 @@ fn a_server_emulates_the_network_that_is_wished_for_or_the_window_does() {
 
 /// A key goes through the schedulers of the server, whose link stays as it is, and back to its own.
 #[test]
-fn a_server_is_asked_for_another_scheduler() {
+fn a_server_may_choose_packets_by_another_scheduler() {
     let (feeder, feed) = feed();
     let mut engine = Engine::new(options(), feed);
     let stream = dgs_player::Stream::from_bytes(&file()).unwrap().0;
@@ -167,20 +167,20 @@ fn a_server_is_asked_for_another_scheduler() {
         assert!(requests.contains(&FeedRequest::From(0.0)), "{requests:?}");
         requests.into_iter().find(|request| matches!(request, FeedRequest::Network { .. })).unwrap()
     };
-    let asked = |scheduler| FeedRequest::Network { conditions: None, scheduler };
+    let wish = |scheduler| FeedRequest::Network { conditions: None, scheduler };
     for (scheduler, name) in [
-        (Scheduler::Layered, " · layered"),
-        (Scheduler::Dash, " · dash"),
-        (Scheduler::Dependency, " · dependency"),
-        (Scheduler::DeadlineUtility, " · deadline-utility"),
-        (Scheduler::DeadlineUtilityPaper, " · deadline-utility-paper"),
+        ("layered", " · layered"),
+        ("dash", " · dash"),
+        ("dependency", " · dependency"),
+        ("deadline-utility", " · deadline-utility"),
+        ("deadline-utility-paper", " · deadline-utility-paper"),
     ] {
-        assert_eq!(press(&mut engine), asked(scheduler));
+        assert_eq!(press(&mut engine), wish(Some(scheduler)));
         feeder.arrivals.send(Arrival::Network { by_server: true, by_scheduler: true }).unwrap();
         engine.tick(0.0, None, SIZE).unwrap();
         assert!(engine.title().ends_with(name), "{}", engine.title());
     }
-    assert_eq!(press(&mut engine), asked(Scheduler::Own));
+    assert_eq!(press(&mut engine), wish(None));
     assert!(engine.title().ends_with("frames/s"), "{}", engine.title());
     // What is not granted is said and no longer shown; a file has no server.
     press(&mut engine);
