@@ -213,7 +213,7 @@ fn absurd_sizes_are_refused_before_decoding() {
     fs::write(&path, bytes).unwrap();
     let text = refusal(folder.path());
     assert!(
-        text.contains("r_2.png: image codec: 16000 x 12000 pixels, 576012000 bytes unpacked; a file of"),
+        text.contains("r_2.png: image codec: 16000 x 12000 pixels") && text.contains("holds at most"),
         "{text}"
     );
 }
