@@ -1,7 +1,8 @@
-//! Emulates a network as a chain of small boxes with one method.
+//! Emulates a network as a chain of small boxes.
 //!
-//! A datagram or nothing goes into [`LinkBox::step`] with `now`; out comes a datagram, a time to be woken, or
-//! nothing. The caller goes on with `step(None, now)` until no datagram comes out. Time never runs backwards.
+//! A datagram goes in with [`LinkBox::put`], and [`LinkBox::take`] gives what has come through at `now`;
+//! [`LinkBox::next_at`] says when that may be. [`LinkBox::step`] is all of it in one call. Time never runs
+//! backwards.
 //!
 //! In every box, at every moment, received = delivered + dropped + inside ([`Counts::balanced`]).
 //! Every box that draws has its own random stream, so how often one draws does not change another.
@@ -56,19 +57,26 @@ pub trait LinkBox: Send {
     /// Name of the box in reports, and key of its random stream.
     fn label(&self) -> &str;
 
-    /// Takes a datagram or nothing at `now`; see the module's text for the protocol.
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput;
+    /// A datagram comes in at `now`. What is due is taken out first.
+    fn put(&mut self, datagram: Datagram, now: Nanos);
 
-    /// Takes a datagram or nothing at `now`, hands all that leaves to `leave`, and returns when to ask again;
-    /// [`Nanos::MAX`]: not before a datagram comes in. The same as [`Self::step`] until nothing comes out, in
-    /// one call.
-    fn carry(&mut self, mut input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) -> Nanos {
-        loop {
-            match self.step(input.take(), now) {
-                BoxOutput::Datagram(datagram) => leave(datagram),
-                BoxOutput::Wake(at) => return at,
-                BoxOutput::Idle => return Nanos::MAX,
-            }
+    /// The next datagram that is through at `now`.
+    fn take(&mut self, now: Nanos) -> Option<Datagram>;
+
+    /// When [`Self::take`] may give a datagram, in the past if it may now; [`Nanos::MAX`]: not before one
+    /// comes in.
+    fn next_at(&self) -> Nanos;
+
+    /// Takes a datagram or nothing at `now`. The caller goes on with nothing until no datagram comes out.
+    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
+        let due = self.take(now);
+        if let Some(datagram) = input {
+            self.put(datagram, now);
+        }
+        match due.or_else(|| self.take(now)) {
+            Some(datagram) => BoxOutput::Datagram(datagram),
+            None if self.next_at() == Nanos::MAX => BoxOutput::Idle,
+            None => BoxOutput::Wake(self.next_at()),
         }
     }
 

@@ -16,7 +16,7 @@ mod service;
 
 use crate::{
     clock::{Bytes, Nanos, Rate},
-    graph::{ClosureRule, GroupIndex, PacketGraph, PacketIndex},
+    graph::{GroupIndex, PacketGraph, PacketIndex},
     startup::StartupRule,
     viewpoint::Viewpoint,
 };
@@ -106,14 +106,6 @@ impl SenderView<'_> {
             && self.graph.needed_from(packet) < self.horizon_frame
             && !self.is_expired(packet, now)
     }
-
-    /// Whether `group` can never be complete because a packet of it was abandoned. Slices stay useful one by
-    /// one.
-    pub fn is_dead(&self, group: GroupIndex) -> bool {
-        let mut packets = self.graph.packets_of(group);
-        self.graph.profile() == ClosureRule::AllOrNothing
-            && packets.any(|packet| self.status[packet.at()] == PacketStatus::Abandoned)
-    }
 }
 
 /// Chooses packets.
@@ -142,8 +134,8 @@ pub trait Scheduler {
         None
     }
 
-    /// The status of `packet` has just changed from `before` to `view.status[packet]`.
-    fn on_status(&mut self, _view: &SenderView<'_>, _packet: PacketIndex, _before: PacketStatus) {}
+    /// The status of `packet` has just changed from the first of `change` to the second.
+    fn on_status(&mut self, _graph: &PacketGraph, _packet: PacketIndex, _change: [PacketStatus; 2]) {}
 }
 
 impl<S: Scheduler + ?Sized> Scheduler for &mut S {
@@ -167,8 +159,8 @@ impl<S: Scheduler + ?Sized> Scheduler for &mut S {
         (**self).forecast(view, packet, now)
     }
 
-    fn on_status(&mut self, view: &SenderView<'_>, packet: PacketIndex, before: PacketStatus) {
-        (**self).on_status(view, packet, before);
+    fn on_status(&mut self, graph: &PacketGraph, packet: PacketIndex, change: [PacketStatus; 2]) {
+        (**self).on_status(graph, packet, change);
     }
 }
 
@@ -193,8 +185,8 @@ impl<S: Scheduler + ?Sized> Scheduler for Box<S> {
         (**self).forecast(view, packet, now)
     }
 
-    fn on_status(&mut self, view: &SenderView<'_>, packet: PacketIndex, before: PacketStatus) {
-        (**self).on_status(view, packet, before);
+    fn on_status(&mut self, graph: &PacketGraph, packet: PacketIndex, change: [PacketStatus; 2]) {
+        (**self).on_status(graph, packet, change);
     }
 }
 

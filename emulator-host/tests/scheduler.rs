@@ -7,7 +7,7 @@ use emulator_host::{
     clock::{Nanos, Rate},
     graph::{ClosureRule, Synthetic, Utilities},
     link::{Capacity, LossModel, PathConfig, QueueLimit},
-    policy::{DeadlineUtility, DeadlineUtilityConfig, Scheduler, SenderView},
+    policy::{DeadlineUtility, DeadlineUtilityConfig, PacketStatus, Scheduler, SenderView},
     run,
     session::{MediaSender, PathFacts, Startup, StartupRule},
     simulate,
@@ -269,13 +269,8 @@ impl Scheduler for Noted {
         packet
     }
 
-    fn on_status(
-        &mut self,
-        view: &SenderView<'_>,
-        packet: PacketIndex,
-        before: emulator_host::policy::PacketStatus,
-    ) {
-        self.inner.on_status(view, packet, before);
+    fn on_status(&mut self, graph: &PacketGraph, packet: PacketIndex, change: [PacketStatus; 2]) {
+        self.inner.on_status(graph, packet, change);
     }
 }
 

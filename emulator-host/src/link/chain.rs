@@ -5,7 +5,7 @@
 
 use std::collections::VecDeque;
 
-use super::{BoxOutput, Counts, Datagram, LinkBox, Tally};
+use super::{Counts, Datagram, LinkBox, Tally};
 use crate::clock::Nanos;
 
 /// A chain of boxes. An empty chain passes everything at once.
@@ -52,35 +52,56 @@ impl Chain {
         self.boxes.iter().map(|slot| (slot.inner.label(), slot.inner.counts()))
     }
 
+    /// Takes a datagram or nothing at `now` and hands all that leaves to `leave`: the same as
+    /// [`LinkBox::step`] until nothing comes out, in one call.
+    pub fn carry(&mut self, input: Option<Datagram>, now: Nanos, mut leave: impl FnMut(Datagram)) {
+        while let Some(datagram) = self.ready.pop_front() {
+            leave(datagram);
+        }
+        self.advance(input, now, &mut leave);
+    }
+
     /// Moves what is due at `now`, then takes `input`; what comes out of the last box goes to `leave`.
-    fn advance(&mut self, input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) {
-        let is_due = self.wake <= now;
-        if is_due {
-            for at in (0..self.boxes.len()).rev() {
-                if self.boxes[at].wake <= now {
-                    feed(&mut self.boxes[at..], None, now, leave);
-                }
+    fn advance(&mut self, input: Option<Datagram>, now: Nanos, leave: &mut impl FnMut(Datagram)) {
+        if self.wake > now && input.is_none() {
+            return;
+        }
+        for at in (0..self.boxes.len()).rev() {
+            if self.boxes[at].wake <= now {
+                drain(&mut self.boxes[at..], now, leave);
             }
         }
         if let Some(datagram) = input {
             if self.boxes.is_empty() {
                 self.passed.add(datagram);
             }
-            feed(&mut self.boxes, input, now, leave);
+            put(&mut self.boxes, datagram, now, leave);
         }
-        if is_due || input.is_some() {
-            self.wake = self.boxes.iter().map(|slot| slot.wake).min().unwrap_or(Nanos::MAX);
+        self.wake = self.boxes.iter().map(|slot| slot.wake).min().unwrap_or(Nanos::MAX);
+    }
+}
+
+/// Puts `datagram` into the first of `boxes`, and carries on whatever comes out, down to the exit.
+fn put(boxes: &mut [Slot], datagram: Datagram, now: Nanos, leave: &mut impl FnMut(Datagram)) {
+    match boxes.first_mut() {
+        None => leave(datagram),
+        Some(first) => {
+            first.inner.put(datagram, now);
+            drain(boxes, now, leave);
         }
     }
 }
 
-/// Puts `input` into the first of `boxes` and carries on whatever comes out, down to the exit.
-fn feed(boxes: &mut [Slot], input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) {
-    match boxes.split_first_mut() {
-        None => input.into_iter().for_each(leave),
-        Some((first, rest)) => {
-            first.wake = first.inner.carry(input, now, &mut |out| feed(rest, Some(out), now, leave));
+/// Takes what is due out of the first of `boxes`, and carries it on, down to the exit.
+fn drain(boxes: &mut [Slot], now: Nanos, leave: &mut impl FnMut(Datagram)) {
+    let Some((first, rest)) = boxes.split_first_mut() else { return };
+    loop {
+        first.wake = first.inner.next_at();
+        if first.wake > now {
+            return;
         }
+        let Some(datagram) = first.inner.take(now) else { return };
+        put(rest, datagram, now, leave);
     }
 }
 
@@ -89,22 +110,21 @@ impl LinkBox for Chain {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
+    fn put(&mut self, datagram: Datagram, now: Nanos) {
         let mut ready = std::mem::take(&mut self.ready);
-        self.advance(input, now, &mut |datagram| ready.push_back(datagram));
+        self.advance(Some(datagram), now, &mut |datagram| ready.push_back(datagram));
         self.ready = ready;
-        if let Some(datagram) = self.ready.pop_front() {
-            return BoxOutput::Datagram(datagram);
-        }
-        if self.wake == Nanos::MAX { BoxOutput::Idle } else { BoxOutput::Wake(self.wake) }
     }
 
-    fn carry(&mut self, input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) -> Nanos {
-        while let Some(datagram) = self.ready.pop_front() {
-            leave(datagram);
-        }
-        self.advance(input, now, leave);
-        self.wake
+    fn take(&mut self, now: Nanos) -> Option<Datagram> {
+        let mut ready = std::mem::take(&mut self.ready);
+        self.advance(None, now, &mut |datagram| ready.push_back(datagram));
+        self.ready = ready;
+        self.ready.pop_front()
+    }
+
+    fn next_at(&self) -> Nanos {
+        self.next_wake()
     }
 
     fn counts(&self) -> Counts {

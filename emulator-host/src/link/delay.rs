@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use super::{BoxOutput, Counts, Datagram, LinkBox, Tally};
+use super::{Counts, Datagram, LinkBox, Tally};
 use crate::{
     clock::Nanos,
     rng::{RandomStream, stream},
@@ -51,8 +51,12 @@ impl Delay {
     }
 }
 
-impl Delay {
-    fn enter(&mut self, datagram: Datagram, now: Nanos) {
+impl LinkBox for Delay {
+    fn label(&self) -> &str {
+        &self.label
+    }
+
+    fn put(&mut self, datagram: Datagram, now: Nanos) {
         self.counts.received.add(datagram);
         let mut span = self.base;
         if let Some(trace) = &self.trace {
@@ -65,42 +69,14 @@ impl Delay {
         self.delayed.push_back((self.last, datagram));
     }
 
-    fn take_due(&mut self, now: Nanos) -> Option<Datagram> {
+    fn take(&mut self, now: Nanos) -> Option<Datagram> {
         let (_, datagram) = self.delayed.pop_front_if(|(at, _)| *at <= now)?;
         self.counts.delivered.add(datagram);
         Some(datagram)
     }
 
-    /// When the next datagram leaves; [`Nanos::MAX`] if there is none.
     fn next_at(&self) -> Nanos {
         self.delayed.front().map_or(Nanos::MAX, |(at, _)| *at)
-    }
-}
-
-impl LinkBox for Delay {
-    fn label(&self) -> &str {
-        &self.label
-    }
-
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
-        if let Some(datagram) = input {
-            self.enter(datagram, now);
-        }
-        match self.take_due(now) {
-            Some(datagram) => BoxOutput::Datagram(datagram),
-            None if self.delayed.is_empty() => BoxOutput::Idle,
-            None => BoxOutput::Wake(self.next_at()),
-        }
-    }
-
-    fn carry(&mut self, input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) -> Nanos {
-        if let Some(datagram) = input {
-            self.enter(datagram, now);
-        }
-        while let Some(datagram) = self.take_due(now) {
-            leave(datagram);
-        }
-        self.next_at()
     }
 
     fn counts(&self) -> Counts {

@@ -1,6 +1,8 @@
 //! Loses datagrams by chance; the models say by which.
 
-use super::{BoxOutput, Counts, Datagram, LinkBox};
+use std::collections::VecDeque;
+
+use super::{Counts, Datagram, LinkBox, Tally};
 use crate::{
     clock::Nanos,
     rng::{Probability, RandomStream, stream},
@@ -34,6 +36,8 @@ pub struct Loss<L> {
     label: String,
     model: L,
     random: RandomStream,
+    /// What is not lost leaves at once.
+    passing: VecDeque<Datagram>,
     counts: Counts,
 }
 
@@ -42,7 +46,7 @@ impl<L: LossProcess> Loss<L> {
     pub fn new(label: impl Into<String>, model: L, seed: u64) -> Self {
         let label = label.into();
         let random = stream(seed, &label);
-        Self { label, model, random, counts: Counts::default() }
+        Self { label, model, random, passing: VecDeque::new(), counts: Counts::default() }
     }
 }
 
@@ -51,26 +55,39 @@ impl<L: LossProcess> LinkBox for Loss<L> {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
-        let Some(datagram) = input else { return BoxOutput::Idle };
+    fn put(&mut self, datagram: Datagram, now: Nanos) {
         self.counts.received.add(datagram);
         if self.model.loses(&mut self.random, now) {
             self.counts.dropped.add(datagram);
-            return BoxOutput::Idle;
+        } else {
+            self.passing.push_back(datagram);
         }
+    }
+
+    fn take(&mut self, _now: Nanos) -> Option<Datagram> {
+        let datagram = self.passing.pop_front()?;
         self.counts.delivered.add(datagram);
-        BoxOutput::Datagram(datagram)
+        Some(datagram)
+    }
+
+    fn next_at(&self) -> Nanos {
+        if self.passing.is_empty() { Nanos::MAX } else { Nanos::ZERO }
     }
 
     fn counts(&self) -> Counts {
-        self.counts
+        let mut inside = Tally::default();
+        self.passing.iter().for_each(|datagram| inside.add(*datagram));
+        Counts { inside, ..self.counts }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::trace::{Limits, Replay};
+    use crate::{
+        link::BoxOutput,
+        trace::{Limits, Replay},
+    };
 
     #[test]
     fn what_passes_in_a_lossy_step_is_lost_and_nothing_else() {

@@ -1,7 +1,7 @@
 //! Serialises datagrams at a constant rate behind a drop-tail queue.
 
 use super::{
-    BoxOutput, Counts, Datagram, LinkBox, QueueLimit,
+    Counts, Datagram, LinkBox, QueueLimit,
     serialiser::{Serialiser, Service},
 };
 use crate::clock::{Bytes, Nanos, Rate};
@@ -25,12 +25,16 @@ impl LinkBox for ConstantRate {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
-        self.inner.step(input, now)
+    fn put(&mut self, datagram: Datagram, now: Nanos) {
+        self.inner.put(datagram, now);
     }
 
-    fn carry(&mut self, input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) -> Nanos {
-        self.inner.carry(input, now, leave)
+    fn take(&mut self, now: Nanos) -> Option<Datagram> {
+        self.inner.take(now)
+    }
+
+    fn next_at(&self) -> Nanos {
+        self.inner.next_at()
     }
 
     fn counts(&self) -> Counts {

@@ -1,6 +1,6 @@
 //! Delays some datagrams at random, so that others overtake them.
 
-use super::{BoxOutput, Counts, Datagram, LinkBox, Tally};
+use super::{Counts, Datagram, LinkBox, Tally};
 use crate::{
     clock::Nanos,
     event::EventQueue,
@@ -32,22 +32,25 @@ impl LinkBox for Reorder {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
-        if let Some(datagram) = input {
-            self.counts.received.add(datagram);
-            self.counts.inside.add(datagram);
-            let is_late = self.random.happens(self.chance);
-            let span = self.random.up_to(self.extra.0);
-            self.waiting.push(if is_late { now + Nanos(span) } else { now }, datagram);
-        }
-        if let Some((_, datagram)) = self.waiting.pop_due(now) {
-            self.counts.delivered.add(datagram);
-            let inside = self.counts.inside;
-            self.counts.inside =
-                Tally { datagrams: inside.datagrams - 1, bytes: inside.bytes - u64::from(datagram.bytes) };
-            return BoxOutput::Datagram(datagram);
-        }
-        self.waiting.next_at().map_or(BoxOutput::Idle, BoxOutput::Wake)
+    fn put(&mut self, datagram: Datagram, now: Nanos) {
+        self.counts.received.add(datagram);
+        self.counts.inside.add(datagram);
+        let is_late = self.random.happens(self.chance);
+        let span = self.random.up_to(self.extra.0);
+        self.waiting.push(if is_late { now + Nanos(span) } else { now }, datagram);
+    }
+
+    fn take(&mut self, now: Nanos) -> Option<Datagram> {
+        let (_, datagram) = self.waiting.pop_due(now)?;
+        self.counts.delivered.add(datagram);
+        let inside = self.counts.inside;
+        self.counts.inside =
+            Tally { datagrams: inside.datagrams - 1, bytes: inside.bytes - u64::from(datagram.bytes) };
+        Some(datagram)
+    }
+
+    fn next_at(&self) -> Nanos {
+        self.waiting.next_at().unwrap_or(Nanos::MAX)
     }
 
     fn counts(&self) -> Counts {

@@ -1,6 +1,6 @@
 //! Serialises one datagram at a time from a drop-tail queue: what all links with a rate share.
 
-use super::{BoxOutput, Counts, Datagram, QueueLimit, queue::DropTail};
+use super::{Counts, Datagram, QueueLimit, queue::DropTail};
 use crate::clock::Nanos;
 
 /// How long the next datagram takes. The state is where the link stands after the last one.
@@ -16,74 +16,58 @@ pub(super) trait Service: Send {
 pub(super) struct Serialiser<S> {
     service: S,
     queue: DropTail,
-    in_service: Option<(Datagram, Nanos)>,
+    in_service: Option<Datagram>,
+    /// When what is in service is through; [`Nanos::MAX`] for never.
+    through_at: Nanos,
     counts: Counts,
 }
 
+/// [`super::LinkBox`], but for the label.
 impl<S: Service> Serialiser<S> {
     pub(super) fn new(service: S, limit: QueueLimit) -> Self {
-        Self { service, queue: DropTail::new(limit), in_service: None, counts: Counts::default() }
-    }
-
-    /// Departures due at `now` come before arrivals at `now`: capacity that passed unused is lost.
-    pub(super) fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
-        let leaving = self.take_due(now);
-        if let Some(datagram) = input {
-            self.enter(datagram, now);
-        }
-        match (leaving, self.next_at()) {
-            (Some(datagram), _) => BoxOutput::Datagram(datagram),
-            (None, Nanos::MAX) => BoxOutput::Idle,
-            (None, at) => BoxOutput::Wake(at),
+        Self {
+            service,
+            queue: DropTail::new(limit),
+            in_service: None,
+            through_at: Nanos::MAX,
+            counts: Counts::default(),
         }
     }
 
-    /// [`super::LinkBox::carry`].
-    pub(super) fn carry(
-        &mut self,
-        input: Option<Datagram>,
-        now: Nanos,
-        leave: &mut dyn FnMut(Datagram),
-    ) -> Nanos {
-        let mut leaving = self.take_due(now);
-        if let Some(datagram) = input {
-            self.enter(datagram, now);
-        }
-        while let Some(datagram) = leaving {
-            leave(datagram);
-            leaving = self.take_due(now);
-        }
-        self.next_at()
-    }
-
-    /// What is through at `now`; the next comes into service.
-    fn take_due(&mut self, now: Nanos) -> Option<Datagram> {
-        let (datagram, _) = self.in_service.filter(|(_, at)| *at <= now)?;
-        self.counts.delivered.add(datagram);
-        self.in_service = self.queue.take().map(|next| (next, self.service.finish(next.bytes)));
-        Some(datagram)
-    }
-
-    fn enter(&mut self, datagram: Datagram, now: Nanos) {
+    pub(super) fn put(&mut self, datagram: Datagram, now: Nanos) {
         self.counts.received.add(datagram);
         if self.in_service.is_none() {
             self.service.start(now);
-            self.in_service = Some((datagram, self.service.finish(datagram.bytes)));
+            self.serve(Some(datagram));
         } else if !self.queue.offer(datagram) {
             self.counts.dropped.add(datagram);
         }
     }
 
-    /// When what is in service is through; [`Nanos::MAX`] for never.
-    fn next_at(&self) -> Nanos {
-        self.in_service.map_or(Nanos::MAX, |(_, at)| at)
+    /// Departures due at `now` come before arrivals at `now`: capacity that passed unused is lost.
+    pub(super) fn take(&mut self, now: Nanos) -> Option<Datagram> {
+        if self.through_at > now {
+            return None;
+        }
+        let through = self.in_service?;
+        self.counts.delivered.add(through);
+        let next = self.queue.take();
+        self.serve(next);
+        Some(through)
+    }
+
+    fn serve(&mut self, next: Option<Datagram>) {
+        self.in_service = next;
+        self.through_at = next.map_or(Nanos::MAX, |datagram| self.service.finish(datagram.bytes));
+    }
+
+    pub(super) fn next_at(&self) -> Nanos {
+        self.through_at
     }
 
     pub(super) fn counts(&self) -> Counts {
         let mut inside = self.queue.contents();
-        if let Some((datagram, _)) = self.in_service {
-            inside.add(datagram);
-        }
+        self.in_service.into_iter().for_each(|datagram| inside.add(datagram));
         Counts { inside, ..self.counts }
     }
 }

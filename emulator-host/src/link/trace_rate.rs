@@ -8,7 +8,7 @@
 use std::sync::Arc;
 
 use super::{
-    BoxOutput, Counts, Datagram, LinkBox, QueueLimit,
+    Counts, Datagram, LinkBox, QueueLimit,
     serialiser::{Serialiser, Service},
 };
 use crate::{
@@ -58,17 +58,24 @@ impl LinkBox for TraceRate {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
+    fn put(&mut self, datagram: Datagram, now: Nanos) {
         match &mut self.inner {
-            Inner::Opportunities(serialiser) => serialiser.step(input, now),
-            Inner::Steps(serialiser) => serialiser.step(input, now),
+            Inner::Opportunities(serialiser) => serialiser.put(datagram, now),
+            Inner::Steps(serialiser) => serialiser.put(datagram, now),
         }
     }
 
-    fn carry(&mut self, input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) -> Nanos {
+    fn take(&mut self, now: Nanos) -> Option<Datagram> {
         match &mut self.inner {
-            Inner::Opportunities(serialiser) => serialiser.carry(input, now, leave),
-            Inner::Steps(serialiser) => serialiser.carry(input, now, leave),
+            Inner::Opportunities(serialiser) => serialiser.take(now),
+            Inner::Steps(serialiser) => serialiser.take(now),
+        }
+    }
+
+    fn next_at(&self) -> Nanos {
+        match &self.inner {
+            Inner::Opportunities(serialiser) => serialiser.next_at(),
+            Inner::Steps(serialiser) => serialiser.next_at(),
         }
     }
 
@@ -208,7 +215,7 @@ impl Service for Steps {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::clock::Rate;
+    use crate::{clock::Rate, link::BoxOutput};
 
     fn leave_times(link: &mut TraceRate, arrivals: &[(u64, u32)]) -> Vec<u64> {
         let mut out = Vec::new();

@@ -139,10 +139,9 @@ impl Scheduler for DeadlineUtility {
         Some((forecast.chance(bytes, frame, view.smoothed_rtt.as_s()), frame))
     }
 
-    fn on_status(&mut self, view: &SenderView<'_>, packet: PacketIndex, before: PacketStatus) {
-        let after = view.status[packet.at()];
-        self.plan.on_status(packet, view.graph.wire_bytes(packet), before, after);
-        self.lost_since |= after == PacketStatus::Waiting;
+    fn on_status(&mut self, graph: &PacketGraph, packet: PacketIndex, change: [PacketStatus; 2]) {
+        self.plan.on_status(packet, graph.wire_bytes(packet), change);
+        self.lost_since |= change[1] == PacketStatus::Waiting;
     }
 }
 

@@ -280,10 +280,13 @@ impl Scheduler for DeadlineUtilityPaper {
         }
     }
 
-    fn on_status(&mut self, view: &SenderView<'_>, packet: PacketIndex, before: PacketStatus) {
-        let bytes = u32::from(view.graph.wire_bytes(packet));
-        let after = view.status[packet.at()];
-        for group in view.graph.groups_of(packet) {
+    fn on_status(&mut self, graph: &PacketGraph, packet: PacketIndex, change: [PacketStatus; 2]) {
+        if let Some(flat) = &mut self.flat {
+            return flat.on_status(graph, packet, change);
+        }
+        let [before, after] = change;
+        let bytes = u32::from(graph.wire_bytes(packet));
+        for group in graph.groups_of(packet) {
             let tally = &mut self.tallies[group.at()];
             tally.count(before, bytes, u32::wrapping_sub);
             tally.count(after, bytes, u32::wrapping_add);

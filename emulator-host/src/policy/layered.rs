@@ -25,22 +25,23 @@ impl Layered {
         // One integer per packet of a level, frame needed from and index; only packets of one frame are then
         // put in order of cluster. Sorting is a good part of a short run.
         let mut keyed: Vec<Vec<u64>> = Vec::new();
-        for (at, packet) in (0u32..).zip(graph.packets()) {
-            if packet.groups.is_empty() {
+        for at in 0..graph.packets().len() as u32 {
+            let index = PacketIndex(at);
+            if graph.is_parity(index) {
                 continue;
             }
-            let (index, level) = (PacketIndex(at), usize::from(graph.level(PacketIndex(at))));
+            let level = usize::from(graph.level(index));
             if keyed.len() <= level {
                 keyed.resize(level + 1, Vec::new());
             }
             keyed[level].push(u64::from(graph.needed_from(index)) << 32 | u64::from(at));
         }
         let cluster = |key: &u64| {
-            let groups = &graph.packets()[*key as u32 as usize].groups;
-            groups.iter().map(|group| graph.groups()[group.at()].id.cluster).min()
+            let groups = graph.groups_of(PacketIndex(*key as u32));
+            groups.map(|group| graph.groups()[group.at()].id.cluster).min()
         };
         for level in &mut keyed {
-            level.sort_unstable();
+            level.sort();
             for of_one_frame in level.chunk_by_mut(|one, other| one >> 32 == other >> 32) {
                 of_one_frame.sort_by_cached_key(cluster);
             }

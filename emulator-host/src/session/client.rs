@@ -54,8 +54,8 @@ impl<'a> Client<'a> {
             largest_at: Nanos::ZERO,
             unacked: 0,
             ack_at: Nanos::MAX,
-            sent: Vec::new(),
-            sent_ranges: Vec::new(),
+            sent: Vec::with_capacity(graph.packets().len() / 2),
+            sent_ranges: Vec::with_capacity(graph.packets().len() / 2),
         }
     }
 

@@ -283,10 +283,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     }
 
     fn next_of_any(&mut self, now: Nanos) -> Option<PacketIndex> {
-        let packet = self.next_lost(now).or_else(|| {
-            let view = self.view_state.view(&self.graph, &self.status, &self.sent_at);
-            self.parity.next(&mut self.scheduler, &view, now)
-        });
+        let packet = self.next_lost(now).or_else(|| self.next_parity(now));
         let packet = if packet.is_none() && !self.starved { self.next_choice(now) } else { packet }?;
         let is_parity = self.is_parity(packet);
         self.counts.parity += u64::from(is_parity);
@@ -409,6 +406,15 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         None
     }
 
+    /// Parity whose set has been sent, if the scheduler wants it.
+    fn next_parity(&mut self, now: Nanos) -> Option<PacketIndex> {
+        if self.parity.is_empty() {
+            return None;
+        }
+        let view = self.view_state.view(&self.graph, &self.status, &self.sent_at);
+        self.parity.next(&mut self.scheduler, &view, now)
+    }
+
     /// What the scheduler says; with nothing else to send, parity that was not worth its bytes before may be,
     /// while what it protects is on its way.
     fn next_choice(&mut self, now: Nanos) -> Option<PacketIndex> {
@@ -452,8 +458,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     fn set_status(&mut self, packet: PacketIndex, after: PacketStatus) {
         let before = std::mem::replace(&mut self.status[packet.at()], after);
         if before != after {
-            let view = self.view_state.view(&self.graph, &self.status, &self.sent_at);
-            self.scheduler.on_status(&view, packet, before);
+            self.scheduler.on_status(&self.graph, packet, [before, after]);
         }
     }
 

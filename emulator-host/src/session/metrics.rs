@@ -118,14 +118,17 @@ impl<'a> Metrics<'a> {
     pub(super) fn show(&mut self, frame: u32, now: Nanos, snapshot: &Snapshot) {
         self.enter_packets(frame, snapshot);
         self.renew_active(frame);
-        self.missing.retain(|active| !snapshot.has_group(active.group));
-        let mut lacking = 0.0;
-        for active in &self.missing {
-            let part = self.group_bytes.get(active.group.at());
-            let there = part.map_or(0.0, |(part, all)| f64::from(*part) / f64::from(*all));
-            lacking += active.utility * (1.0 - there);
-        }
-        let bases_missed = self.missing.iter().filter(|active| active.base).count();
+        let (mut lacking, mut bases_missed) = (0.0, 0);
+        self.missing.retain(|active| {
+            let is_missing = !snapshot.has_group(active.group);
+            if is_missing {
+                let part = self.group_bytes.get(active.group.at());
+                let there = part.map_or(0.0, |(part, all)| f64::from(*part) / f64::from(*all));
+                lacking += active.utility * (1.0 - there);
+                bases_missed += usize::from(active.base);
+            }
+            is_missing
+        });
         let share = |part: usize, all: usize| if all == 0 { 0.0 } else { part as f64 / all as f64 };
         let sums = self.sums;
         self.frames.push(FrameRow {

@@ -4,7 +4,7 @@ use super::{SessionConfig, SessionError, client::Client, sender::Sender};
 use crate::{
     clock::Nanos,
     graph::PacketGraph,
-    link::{Chain, Datagram, LinkBox},
+    link::{Chain, Datagram},
     policy::Scheduler,
     receiver::{Endpoint, GraphReceiver},
     report::Report,
@@ -50,8 +50,8 @@ fn walk(
         sender: Sender::new(graph, config, scheduler),
         client: Client::new(graph, config, endpoint),
         digest: 0xcbf2_9ce4_8422_2325,
-        sent_at: Vec::new(),
-        delays: Vec::new(),
+        sent_at: Vec::with_capacity(graph.packets().len()),
+        delays: Vec::with_capacity(graph.packets().len()),
         sample_at: Nanos::ZERO,
         due_at: Nanos::ZERO,
         arrived: serves_always,
@@ -94,8 +94,12 @@ const UP_DELIVERED: u64 = 3;
 impl Walk<'_> {
     /// Everything that happens at `now`; whether the run is over.
     fn step(&mut self, now: Nanos) -> bool {
-        self.carry_down(None, now);
-        self.carry_up(None, now);
+        if self.forward.next_wake() <= now {
+            self.carry_down(None, now);
+        }
+        if self.reverse.next_wake() <= now {
+            self.carry_up(None, now);
+        }
         // Every second step only moves a datagram from one box to the next, which nobody notices.
         let is_served = self.arrived || now >= self.due_at.min(self.sender.horizon_moves_at());
         if is_served && self.serve(now) {
@@ -151,11 +155,8 @@ impl Walk<'_> {
     }
 
     fn carry_down(&mut self, input: Option<Datagram>, now: Nanos) {
-        if input.is_none() && self.forward.next_wake() > now {
-            return;
-        }
         let Self { forward, sender, client, digest, sent_at, delays, arrived, .. } = self;
-        forward.carry(input, now, &mut |datagram| {
+        forward.carry(input, now, |datagram| {
             note(digest, datagram, DOWN_DELIVERED, now);
             delays.extend(sent_at.get(datagram.tag as usize).map(|sent| now - *sent));
             client.receive(datagram.tag, sender.content(datagram.tag), now);
@@ -164,11 +165,8 @@ impl Walk<'_> {
     }
 
     fn carry_up(&mut self, input: Option<Datagram>, now: Nanos) {
-        if input.is_none() && self.reverse.next_wake() > now {
-            return;
-        }
         let Self { reverse, sender, client, digest, arrived, .. } = self;
-        reverse.carry(input, now, &mut |datagram| {
+        reverse.carry(input, now, |datagram| {
             note(digest, datagram, UP_DELIVERED, now);
             let (acknowledgement, reported) = client.feedback(datagram.tag);
             sender.on_feedback(acknowledgement, reported, client.news(), now);
@@ -177,8 +175,10 @@ impl Walk<'_> {
     }
 
     fn report(mut self, now: Nanos) -> Report {
-        self.delays.sort_unstable();
-        let share = |part: usize| self.delays.get(self.delays.len() * part / 100).copied();
+        let mut share = |part: usize| {
+            let at = self.delays.len() * part / 100;
+            (at < self.delays.len()).then(|| *self.delays.select_nth_unstable(at).1)
+        };
         let one_way_delay = share(50).zip(share(95)).map(|(median, tail)| [median, tail]);
         let viewer = self.client.into_viewer();
         let mut report = viewer.report(self.sender.media(), [&self.forward, &self.reverse], now);

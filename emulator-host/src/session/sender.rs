@@ -29,6 +29,8 @@ pub(super) struct Sender<'a> {
     datagram_bytes: u64,
     serialising: Option<(Content, u32, Nanos)>,
     pace_at: Nanos,
+    /// Before this time the path is full, unless something is learnt.
+    full_until: Nanos,
     dirty: bool,
     outcome: AckOutcome,
     counts: SenderCounts,
@@ -57,6 +59,7 @@ impl<'a> Sender<'a> {
             datagram_bytes,
             serialising: None,
             pace_at: Nanos::MAX,
+            full_until: Nanos::ZERO,
             dirty: true,
             outcome: AckOutcome::default(),
             counts: SenderCounts::default(),
@@ -161,7 +164,7 @@ impl<'a> Sender<'a> {
     /// The next datagram that leaves at `now`.
     pub(super) fn poll(&mut self, now: Nanos) -> Option<Datagram> {
         loop {
-            self.dirty = false;
+            let has_learnt = std::mem::take(&mut self.dirty);
             if let Some((content, bytes, at)) = self.serialising {
                 if at > now {
                     return None;
@@ -169,6 +172,12 @@ impl<'a> Sender<'a> {
                 self.serialising = None;
                 return Some(self.leave(content, bytes, now));
             }
+            if !has_learnt && now < self.full_until {
+                // The pacer counts whole bytes whenever it is asked, so how often it is asked is part of the run.
+                self.recovery.pacing_ready_at(self.datagram_bytes, now);
+                return None;
+            }
+            self.full_until = Nanos::ZERO;
             let probe = self.recovery.probes_owed() > 0;
             self.pace_at = Nanos::MAX;
             if !probe && !self.may_send(now) {
@@ -178,7 +187,7 @@ impl<'a> Sender<'a> {
                 && !self.control.has_pending()
                 && let Some(until) = self.media.full_until(now)
             {
-                self.pace_at = until;
+                (self.pace_at, self.full_until) = (until, until);
                 self.recovery.on_path_filled();
                 return None;
             }

@@ -128,14 +128,9 @@ impl Plan {
         }
     }
 
-    /// The status of a packet has changed.
-    pub(super) fn on_status(
-        &mut self,
-        packet: PacketIndex,
-        bytes: u16,
-        before: PacketStatus,
-        after: PacketStatus,
-    ) {
+    /// The status of a packet has changed from the first of `change` to the second.
+    pub(super) fn on_status(&mut self, packet: PacketIndex, bytes: u16, change: [PacketStatus; 2]) {
+        let [before, after] = change;
         let Some(piece) = self.division.pieces.of_packet(packet) else { return };
         let rest = &mut self.rest[piece];
         let bytes = u32::from(bytes) + OVERHEAD_BYTES;

@@ -63,7 +63,7 @@ pub fn order_by_utility(graph: &PacketGraph) -> Vec<PacketIndex> {
         };
         let bytes = graph.wire_bytes(packet);
         status[packet.at()] = PacketStatus::Delivered;
-        plan.on_status(packet, bytes, PacketStatus::Waiting, PacketStatus::Delivered);
+        plan.on_status(packet, bytes, [PacketStatus::Waiting, PacketStatus::Delivered]);
         order.push(packet);
     }
 }
