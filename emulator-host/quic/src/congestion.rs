@@ -17,6 +17,8 @@ use quinn_proto::{
 
 pub(crate) use observed::{Observed, Watch};
 pub(crate) use path_watch::PathWatch;
+#[cfg(test)]
+pub(crate) use watched::Observer;
 pub(crate) use watched::{Factory, Watched, WatchedFactory};
 
 /// What governs how much of a connection may be on its way. `quinn` paces all of them alike: a window is
@@ -160,7 +162,7 @@ impl Controller for ScreamController {
 mod tests {
     use std::time::Duration;
 
-    use super::{watched::Observer as _, *};
+    use super::*;
 
     #[test]
     fn what_is_on_its_way_is_what_left_and_was_neither_acknowledged_nor_lost() {

@@ -257,6 +257,11 @@ impl Round {
         self.sender.on_datagram_sent(all, now);
     }
 
+    /// What the scheduler sees of the path.
+    pub(super) fn path(&self) -> &PathFacts {
+        self.sender.path()
+    }
+
     /// When there may be something to send, or something is lost, without news.
     pub(super) fn next_time(&self) -> Nanos {
         let full = self.sender.full_until(self.now()).unwrap_or(Nanos::MAX);
@@ -265,7 +270,7 @@ impl Round {
 
     /// A packet is lost that no receipt names which came so long after it had left.
     fn silence(&self) -> Nanos {
-        let silence = self.sender.path().smoothed_rtt.times(3) + RECEIPTS;
+        let silence = self.path().smoothed_rtt.times(3) + RECEIPTS;
         if self.outstanding.is_repeated() { silence.max(REPEATED) } else { silence }
     }
 

@@ -35,13 +35,13 @@ use super::{
 use crate::CongestionControl;
 
 /// A small stream of a few frames.
-fn stream() -> Stream {
+pub(super) fn stream() -> Stream {
     let file = include_bytes!("../../../../codec-core/tests/conformance/everything.dgs");
     Stream::from_bytes(file).unwrap().0
 }
 
 /// Its packets as a graph in which nothing needs anything: what matters here is that they are sent.
-fn graph(stream: &Stream) -> PacketGraph {
+pub(super) fn graph(stream: &Stream) -> PacketGraph {
     let manifest = stream.manifest().unwrap();
     let frames = manifest.head().frames;
     let indices = 0..stream.packets().len() as u32;

@@ -1,6 +1,8 @@
 //! Serves one viewer: rounds of playout, a datagram whenever the transport takes one, until somebody ends it.
 
 mod end;
+#[cfg(test)]
+mod tests;
 
 use std::{
     collections::VecDeque,
