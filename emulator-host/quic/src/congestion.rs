@@ -214,4 +214,24 @@ mod tests {
             assert_eq!(watch.owes_control(), owes, "{bytes}");
         }
     }
+
+    #[test]
+    fn what_a_handshake_sent_is_never_taken_for_lost_control() {
+        let (began, watch) = (Instant::now(), PathWatch::new());
+        let at = |ms| began + Duration::from_millis(ms);
+        // One datagram of two packets, each acknowledged by itself.
+        watch.on_sent(at(0), 1200);
+        watch.on_ack(at(40), at(0), 150);
+        watch.on_ack(at(41), at(0), 1050);
+        watch.on_end_acks(at(41), 0);
+        watch.begin_session();
+        let begun = Instant::now();
+        [1200, 650].into_iter().for_each(|bytes| watch.on_sent(begun, bytes));
+        watch.on_control_left(begun);
+        watch.on_sent(begun + Duration::from_millis(1), 1000);
+        watch.on_lost(2850);
+        assert!(watch.owes_control());
+        [1200, 650].into_iter().for_each(|bytes| watch.on_sent(Instant::now(), bytes));
+        assert!(!watch.owes_control());
+    }
 }

@@ -94,6 +94,12 @@ impl PathWatch {
         (known.least_rtt, known.since) = (None, Some(now));
     }
 
+    /// A session begins after the handshake, of which only round trips say something of the path: what it sent
+    /// was little, and several packets in one datagram are acknowledged one by one.
+    pub(crate) fn begin_session(&self) {
+        self.lock().observed.restart(Clock::start(), MAX_ACK_DELAY);
+    }
+
     /// Ready once something was acknowledged or lost since it was ready last. Dropping the future loses
     /// nothing.
     pub(crate) async fn news(&self) {

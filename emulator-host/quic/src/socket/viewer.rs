@@ -173,6 +173,9 @@ impl<'s> Viewer<'s> {
         policy: PolicyKind,
         start_us: u64,
     ) -> Result<Self, GraphError> {
+        if let Some(watch) = carrier.watch() {
+            watch.begin_session();
+        }
         let mut content = offer.content();
         let now = content.borrow_and_update().clone();
         let (first, says) = offer.start(&now, start_us);
