@@ -36,8 +36,8 @@ impl Dependency {
 }
 
 impl Dependency {
-    /// Whether `group` can never be shown because a packet of its closure was abandoned. Slices stay useful one
-    /// by one.
+    /// Whether `group` can never be shown because a packet of its closure was abandoned. Slices stay useful
+    /// one by one.
     fn is_dead(&self, graph: &PacketGraph, group: GroupIndex) -> bool {
         graph.profile() == ClosureRule::AllOrNothing
             && graph.closure(group).any(|member| self.abandoned[member.at()] > 0)

@@ -173,7 +173,7 @@ impl<'a> Sender<'a> {
                 return Some(self.leave(content, bytes, now));
             }
             if !has_learnt && now < self.full_until {
-                // The pacer counts whole bytes whenever it is asked, so how often it is asked is part of the run.
+                // The pacer counts whole bytes whenever it is asked: how often that is is part of the run.
                 self.recovery.pacing_ready_at(self.datagram_bytes, now);
                 return None;
             }

@@ -94,8 +94,8 @@ impl PathWatch {
         (known.least_rtt, known.since) = (None, Some(now));
     }
 
-    /// A session begins after the handshake, of which only round trips say something of the path: what it sent
-    /// was little, and several packets in one datagram are acknowledged one by one.
+    /// A session begins after the handshake, of which only round trips say something of the path: what it
+    /// sent was little, and several packets in one datagram are acknowledged one by one.
     pub(crate) fn begin_session(&self) {
         self.lock().observed.restart(Clock::start(), MAX_ACK_DELAY);
     }
