@@ -17,8 +17,9 @@ use super::{
 /// for `dgs encode` and `dgs render`), log.csv, preview.png and report.html. A clip in several epochs
 /// (--split) has epochs.json and a folder epoch-N with the checkpoint and log of each.
 ///
-/// Cameras may differ in brightness and tint: what each place's photographs differ by is learnt where they have
-/// no outlines (`rates.exposure` in --options; 0: not), and the scene is their mean.
+/// Cameras of a rig may differ in brightness and tint: where places have several photographs, without
+/// outlines, what each place's differ by is learnt (`rates.exposure` in --options; 0: not), and the scene is
+/// their mean.
 #[derive(Clone, Debug, Args)]
 pub struct Train {
     /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), transforms.json (Nerfstudio),

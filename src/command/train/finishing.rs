@@ -107,8 +107,8 @@ impl Finished {
         if let Some(Exposures { places, factors, offsets }) = &self.exposures {
             let [[darkest, brightest], [least, most]] = [factors, offsets];
             text += &format!(
-                "  exposures: of {places} places, colours times {darkest:.3} to {brightest:.3}, and {least:+.3} to {most:+.3}; \
-                 views are compared without them\n"
+                "  exposures: {places} places, colours times {darkest:.3} to {brightest:.3}, \
+                 {least:+.3} to {most:+.3}; views are compared without them\n"
             );
         }
         let [none, first, second, third] = self.clusters_of_degree;

@@ -37,7 +37,9 @@ struct Exposure {
 }
 
 /// Which exposure each training view has, by the place that it was taken from. None where that would change
-/// nothing: at a `rate` of 0, for photographs with outlines, which are drawn and not taken, and from one place.
+/// nothing, at a `rate` of 0 and of one place; for photographs with outlines, which are drawn and not taken;
+/// and without several photographs from most places, since what one alone differs by cannot be told from what
+/// it alone sees.
 pub(super) fn of_views(dataset: &Dataset, rate: f32) -> Vec<usize> {
     let mut places = BTreeMap::new();
     let of_view = |view: &PosedPhotograph| {
@@ -45,7 +47,8 @@ pub(super) fn of_views(dataset: &Dataset, rate: f32) -> Vec<usize> {
         *places.entry(view.camera.centre().map(f64::to_bits)).or_insert(next)
     };
     let exposures: Vec<usize> = dataset.train.photographs().iter().map(of_view).collect();
-    if rate == 0.0 || dataset.has_alpha || count(&exposures) < 2 { Vec::new() } else { exposures }
+    let told_apart = (2..=exposures.len() / 2).contains(&count(&exposures));
+    if rate == 0.0 || dataset.has_alpha || !told_apart { Vec::new() } else { exposures }
 }
 
 /// How many different ones there are of `exposures`.
@@ -141,7 +144,7 @@ impl Loss for Exposed<'_> {
 }
 
 impl Exposed<'_> {
-    /// Makes the slope by each value of the photograph taken that by the `picture`'s; returns those by the numbers.
+    /// Makes the slope by each value of what was taken that by the `picture`'s; returns those by the numbers.
     fn backward(&self, gradient: &mut [f32], picture: &[f32]) -> [f64; NUMBERS] {
         let mut sums = [0.0; NUMBERS];
         for (gradient, pixel) in gradient.chunks_exact_mut(3).zip(picture.chunks_exact(3)) {

@@ -220,8 +220,8 @@ pub struct Rates {
     pub skin: f32,
     /// Shifts and turns of the last layer of nodes; each before it learns at 0.3 of the next one's.
     pub node_motion: f32,
-    /// Logarithms of factors, and offsets, by which the photographs of each place differ in colour; 0: none
-    /// do. Photographs with outlines have none.
+    /// Logarithms of factors, and offsets, by which photographs from each place differ in colour; 0: none do.
+    /// Only of rigs: photographs with outlines, or with a place of their own each, have none.
     pub exposure: f32,
 }
 

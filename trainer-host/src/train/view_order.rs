@@ -19,8 +19,8 @@ impl ViewOrder {
         Self { seed, count, pass: None, order: Vec::new() }
     }
 
-    /// The first view after `drawn` others that `shows` what is wanted, which one at least must; counts all that
-    /// are drawn until then.
+    /// The first view after `drawn` others that `shows` what is wanted, which one at least must; counts all
+    /// that are drawn until then.
     pub(super) fn next(&mut self, drawn: &mut u64, shows: impl Fn(usize) -> bool) -> usize {
         loop {
             let view = self.view(*drawn);

@@ -19,7 +19,7 @@ fn coloured<S>(views: &Views<S>, factor: impl Fn(usize) -> f32) -> Views<S> {
 
 /// The scene as cameras of different exposure see it; tests are of the scene itself.
 fn unlike_cameras() -> Dataset {
-    let clean = dataset(synth::SynthKind::Balls, 1, 12);
+    let clean = dataset(synth::SynthKind::Balls, 2, 12);
     Dataset {
         train: coloured(&clean.train, |index| DIMMED * FACTORS[index % 2]),
         test: coloured(&clean.test, |_| DIMMED),
@@ -46,7 +46,7 @@ fn cameras_of_different_exposure_do_not_spoil_the_scene() {
 }
 
 #[test]
-fn a_training_with_exposures_goes_on_bit_for_bit_and_outlines_have_none() {
+fn a_training_with_exposures_goes_on_bit_for_bit_and_others_have_none() {
     let dataset = unlike_cameras();
     let at = |step: u32| f64::from(step) / 40.0;
     let mut whole = Trainer::new(&dataset, &options()).unwrap();
@@ -58,6 +58,10 @@ fn a_training_with_exposures_goes_on_bit_for_bit_and_outlines_have_none() {
     }
     assert!(whole.exposures().eq(resumed.exposures()) && whole.exposures().any(|[[r, ..], _]| r != 1.0));
     assert_eq!(*whole.model(), *resumed.model());
-    let drawn = Dataset { has_alpha: true, ..dataset };
-    assert_eq!(Trainer::new(&drawn, &options()).unwrap().exposures().count(), 0);
+    let drawn = Dataset { has_alpha: true, ..dataset.clone() };
+    let single =
+        Dataset { train: Views::new(dataset.train.photographs()[..12].to_vec()).unwrap(), ..dataset };
+    for dataset in [drawn, single] {
+        assert_eq!(Trainer::new(&dataset, &options()).unwrap().exposures().count(), 0);
+    }
 }
