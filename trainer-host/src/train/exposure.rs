@@ -47,8 +47,8 @@ pub(super) fn of_views(dataset: &Dataset, rate: f32) -> Vec<usize> {
         *places.entry(view.camera.centre().map(f64::to_bits)).or_insert(next)
     };
     let exposures: Vec<usize> = dataset.train.photographs().iter().map(of_view).collect();
-    let told_apart = (2..=exposures.len() / 2).contains(&count(&exposures));
-    if rate == 0.0 || dataset.has_alpha || !told_apart { Vec::new() } else { exposures }
+    let is_rig = (2..=exposures.len() / 2).contains(&count(&exposures));
+    if rate == 0.0 || dataset.has_alpha || !is_rig { Vec::new() } else { exposures }
 }
 
 /// How many different ones there are of `exposures`.
@@ -129,8 +129,8 @@ impl Loss for Exposed<'_> {
             chunks.map(|(gradient, picture)| self.backward(gradient, picture)).collect();
         let mut slopes = [0.0; NUMBERS];
         sums.iter().for_each(|sum| slopes.iter_mut().zip(sum).for_each(|(slope, sum)| *slope += sum));
-        if let Ok(mut kept) = self.slopes.lock() {
-            *kept = slopes;
+        if let Ok(mut last) = self.slopes.lock() {
+            *last = slopes;
         }
         Ok(value)
     }

@@ -2,16 +2,16 @@
 
 use super::*;
 
-/// How bright odd and even cameras see a scene that is itself dimmed, so that none reaches white.
+/// How bright odd and even cameras see a scene that is itself less bright, so that none reaches white.
 const FACTORS: [f32; 2] = [0.7, 1.0 / 0.7];
-const DIMMED: f32 = 0.6;
+const BRIGHTNESS: f32 = 0.6;
 
 /// `views` with colours times what `factor` says of each.
 fn coloured<S>(views: &Views<S>, factor: impl Fn(usize) -> f32) -> Views<S> {
     let view = |(index, view): (usize, &PosedPhotograph)| {
         let (pixels, _) = view.photograph.rgba().as_chunks::<4>();
-        let dimmed = |v: u8| (factor(index) * f32::from(v)).round() as u8;
-        let rgba = pixels.iter().flat_map(|&[r, g, b, a]| [dimmed(r), dimmed(g), dimmed(b), a]);
+        let scaled = |v: u8| (factor(index) * f32::from(v)).round() as u8;
+        let rgba = pixels.iter().flat_map(|&[r, g, b, a]| [scaled(r), scaled(g), scaled(b), a]);
         PosedPhotograph { photograph: Photograph::new(64, 64, rgba.collect()).unwrap(), ..view.clone() }
     };
     Views::new(views.photographs().iter().enumerate().map(view).collect()).unwrap()
@@ -21,8 +21,8 @@ fn coloured<S>(views: &Views<S>, factor: impl Fn(usize) -> f32) -> Views<S> {
 fn unlike_cameras() -> Dataset {
     let clean = dataset(synth::SynthKind::Balls, 2, 12);
     Dataset {
-        train: coloured(&clean.train, |index| DIMMED * FACTORS[index % 2]),
-        test: coloured(&clean.test, |_| DIMMED),
+        train: coloured(&clean.train, |index| BRIGHTNESS * FACTORS[index % 2]),
+        test: coloured(&clean.test, |_| BRIGHTNESS),
         has_alpha: false,
         ..clean
     }
