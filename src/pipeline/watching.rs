@@ -18,7 +18,7 @@ pub struct Watching {
 }
 
 impl Watching {
-    /// The viewer that is typed, else where `dgs render` looks from, before `frames`.
+    /// The camera that the options name, else the one that `dgs render` looks from, before `frames`.
     ///
     /// # Errors
     /// Cameras that cannot be read or placed, or several that do not follow the frames.

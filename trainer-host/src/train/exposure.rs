@@ -36,10 +36,9 @@ struct Exposure {
     steps: u32,
 }
 
-/// Which exposure each training view has, by the place that it was taken from. None where that would change
-/// nothing, at a `rate` of 0 and of one place; for photographs with outlines, which are drawn and not taken;
-/// and without several photographs from most places, since what one alone differs by cannot be told from what
-/// it alone sees.
+/// Which exposure each training view has, by the place that it was taken from. None at a `rate` of 0; of one
+/// place, whose exposure is the mean; of photographs with outlines, which are drawn and not taken; and unless
+/// there are two photographs per place or more: one alone would explain by its exposure what it shows.
 pub(super) fn of_views(dataset: &Dataset, rate: f32) -> Vec<usize> {
     let mut places = BTreeMap::new();
     let of_view = |view: &PosedPhotograph| {

@@ -34,6 +34,32 @@ use super::{
 };
 use crate::CongestionControl;
 
+/// A connection over loopback, without any session.
+pub(super) struct Loopback {
+    pub(super) served: Connection,
+    pub(super) viewer: Connection,
+    _ends: [Endpoint; 2],
+}
+
+impl Loopback {
+    /// To a server of this `transport`.
+    pub(super) async fn new(transport: Arc<quinn::TransportConfig>) -> Self {
+        let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
+        let trust = Trust::Pin(identity.pin());
+        let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.server().unwrap()));
+        config.transport_config(transport);
+        let server = Endpoint::server(config, (Ipv4Addr::LOCALHOST, 0).into()).unwrap();
+        let address = server.local_addr().unwrap();
+        let (crypto, _) = trust.client(Scheme::Dgs).unwrap();
+        let client = Endpoint::client((Ipv4Addr::LOCALHOST, 0).into()).unwrap();
+        let config = quinn::ClientConfig::new(Arc::new(crypto));
+        let connecting = client.connect_with(config, address, "localhost").unwrap();
+        let (served, viewer) =
+            tokio::join!(async { server.accept().await.unwrap().await.unwrap() }, connecting);
+        Self { served, viewer: viewer.unwrap(), _ends: [server, client] }
+    }
+}
+
 /// A small stream of a few frames.
 pub(super) fn stream() -> Stream {
     let file = include_bytes!("../../../../codec-core/tests/conformance/everything.dgs");

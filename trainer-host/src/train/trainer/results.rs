@@ -38,8 +38,8 @@ impl Trainer<'_> {
         &self.state.finishing.prunings
     }
 
-    /// Factors and offsets of r g b by which photographs from each place differ from the scene; none where
-    /// none are learnt.
+    /// By place, factors of r g b and offsets in display values that turn a picture of the scene into one
+    /// that was taken there; none where none are learnt.
     pub fn exposures(&self) -> impl Iterator<Item = [[f32; 3]; 2]> {
         (0..self.state.exposures.len()).map(|index| self.state.exposures.get(index))
     }

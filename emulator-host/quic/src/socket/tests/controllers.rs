@@ -14,18 +14,8 @@ fn a_connection_has_the_controller_that_is_named() {
             (CongestionControl::Bbr, "bbr"),
             (CongestionControl::Scream, "scream"),
         ] {
-            let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
-            let trust = Trust::Pin(identity.pin());
-            let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.server().unwrap()));
-            config.transport_config(ServerLimits::default().transport(control));
-            let endpoint = Endpoint::server(config, (Ipv4Addr::LOCALHOST, 0).into()).unwrap();
-            let address = endpoint.local_addr().unwrap();
-            let (crypto, _) = trust.client(Scheme::Dgs).unwrap();
-            let client = Endpoint::client((Ipv4Addr::LOCALHOST, 0).into()).unwrap();
-            let config = quinn::ClientConfig::new(Arc::new(crypto));
-            let connecting = client.connect_with(config, address, "localhost").unwrap();
-            let (served, viewer) =
-                tokio::join!(async { endpoint.accept().await.unwrap().await.unwrap() }, connecting);
+            let Loopback { served, viewer, _ends } =
+                Loopback::new(ServerLimits::default().transport(control)).await;
             let watched = served.congestion_state().into_any().downcast::<Watched<PathWatch>>().unwrap();
             let state = watched.inner.into_any();
             let found = [

@@ -1,10 +1,10 @@
 //! A session hears what its transport tells of the path, here in the words of a script.
 
-use std::{any::Any, future::poll_fn, net::Ipv4Addr, pin::pin, task::Poll};
+use std::{any::Any, future::poll_fn, pin::pin, task::Poll};
 
 use emulator_host::Rate;
 use quinn::{
-    Endpoint, TransportConfig,
+    TransportConfig,
     congestion::{Controller, ControllerFactory},
 };
 use tokio::runtime::Builder;
@@ -13,10 +13,9 @@ use super::*;
 use crate::{
     congestion::{Observer as _, PathWatch, Watched},
     socket::{
-        Identity, Scheme, Trust,
         carrier::{Opened, by_quic},
         channel::Channel,
-        tests::{graph, stream},
+        tests::{Loopback, graph, stream},
     },
 };
 
@@ -66,32 +65,20 @@ struct Begun {
     watch: PathWatch,
     opened: Opened,
     offer: ServedStream,
-    _ends: (Endpoint, Endpoint, quinn::Connection, quinn::SendStream, quinn::RecvStream),
+    _ends: (Loopback, quinn::SendStream, quinn::RecvStream),
 }
 
 impl Begun {
     async fn new() -> Self {
         let watch = PathWatch::new();
-        let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
-        let trust = Trust::Pin(identity.pin());
-        let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.server().unwrap()));
         let mut transport = TransportConfig::default();
         transport.congestion_controller_factory(Arc::new(Scripted(watch.clone())));
-        config.transport_config(Arc::new(transport));
-        let server = Endpoint::server(config, (Ipv4Addr::LOCALHOST, 0).into()).unwrap();
-        let address = server.local_addr().unwrap();
-        let (crypto, _) = trust.client(Scheme::Dgs).unwrap();
-        let client = Endpoint::client((Ipv4Addr::LOCALHOST, 0).into()).unwrap();
-        let config = quinn::ClientConfig::new(Arc::new(crypto));
-        let connecting = client.connect_with(config, address, "localhost").unwrap();
-        let (served, viewer) =
-            tokio::join!(async { server.accept().await.unwrap().await.unwrap() }, connecting);
-        let viewer = viewer.unwrap();
-        let (mut send, receive) = viewer.open_bi().await.unwrap();
+        let loopback = Loopback::new(Arc::new(transport)).await;
+        let (mut send, receive) = loopback.viewer.open_bi().await.unwrap();
         send.write_all(&[1]).await.unwrap();
-        let opened = by_quic(Channel::accept(&served).await.unwrap());
+        let opened = by_quic(Channel::accept(&loopback.served).await.unwrap());
         let offer = ServedStream::new("everything", &stream(), graph(&stream())).unwrap();
-        Self { watch, opened, offer, _ends: (server, client, viewer, send, receive) }
+        Self { watch, opened, offer, _ends: (loopback, send, receive) }
     }
 
     fn viewer(&self) -> Viewer<'_> {
