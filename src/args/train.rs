@@ -16,10 +16,6 @@ use super::{
 /// Writes into the folder of --out: scene.dgs (the encoded scene), checkpoint.dgst (to resume, and a scene
 /// for `dgs encode` and `dgs render`), log.csv, preview.png and report.html. A clip in several epochs
 /// (--split) has epochs.json and a folder epoch-N with the checkpoint and log of each.
-///
-/// Cameras of a rig may differ in brightness and tint: where places have several photographs, without
-/// outlines, what each place's differ by is learnt (`rates.exposure` in --options; 0: not), and the scene is
-/// their mean.
 #[derive(Clone, Debug, Args)]
 pub struct Train {
     /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), transforms.json (Nerfstudio),
@@ -49,6 +45,8 @@ pub struct Train {
     #[arg(long, conflicts_with = "resume")]
     pub overwrite: bool,
     /// Options of the training as JSON: any of those that report.html lists. What is typed besides wins.
+    /// Cameras of a rig may differ in brightness and tint: that is learnt where places have several
+    /// photographs, without outlines, and the scene is their mean; {"rates": {"exposure": 0}} takes all as alike.
     #[arg(long, value_name = "FILE")]
     pub options: Option<PathBuf>,
     /// Most Gaussians, of all epochs together [default: 26000].
