@@ -46,7 +46,8 @@ pub struct Train {
     pub overwrite: bool,
     /// Options of the training as JSON: any of those that report.html lists. What is typed besides wins.
     /// Cameras of a rig may differ in brightness and tint: that is learnt where places have several
-    /// photographs, without outlines, and the scene is their mean; {"rates": {"exposure": 0}} takes all as alike.
+    /// photographs, without outlines, and the scene is their mean; {"rates": {"exposure": 0}} takes all as
+    /// alike.
     #[arg(long, value_name = "FILE")]
     pub options: Option<PathBuf>,
     /// Most Gaussians, of all epochs together [default: 26000].
