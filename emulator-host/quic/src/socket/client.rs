@@ -357,6 +357,8 @@ async fn converse(
             playback.next_time().map_or(receipt_at, |due| due.min(receipt_at))
         };
         tokio::select! {
+            // What the server says before media holds of that media, where both have come.
+            biased;
             _ = leave.wait_for(|leaves| *leaves) => return say(send, &ClientMessage::Bye).await,
             message = control.next() => {
                 match message {
