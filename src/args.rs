@@ -151,13 +151,13 @@ pub struct ViewArgs {
 
 impl ViewArgs {
     /// The options whose values are not the defaults.
-    pub fn typed(&self) -> Vec<&'static str> {
+    pub fn given(&self) -> Vec<&'static str> {
         let options = [
             ("--width", self.width.is_some()),
             ("--height", self.height.is_some()),
             ("--background", self.background != [0.0; 3]),
         ];
-        options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
+        options.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
     }
 
     /// Width and height, pixels, where nothing else says.

@@ -315,7 +315,7 @@ pub(crate) fn stream_of(path: &Path, bytes: &[u8], warn: &mut dyn FnMut(String))
 /// What a person should know who typed options of scenes, or of how to encode them, with the stream `input`.
 pub(crate) fn unused_options(input: &str, args: &SceneArgs, codec: Option<&CodecArgs>) -> Option<String> {
     let mut options = args.scene_only();
-    options.extend(codec.into_iter().flat_map(CodecArgs::typed));
+    options.extend(codec.into_iter().flat_map(CodecArgs::given));
     let names = options.join(", ");
     (!options.is_empty()).then(|| format!("{input}: is a stream; not used, being for scenes: {names}"))
 }

@@ -51,12 +51,12 @@ pub struct CameraArgs {
 
 impl CameraArgs {
     /// Whether anything is typed.
-    pub fn is_typed(&self) -> bool {
-        !self.typed().is_empty()
+    pub fn is_given(&self) -> bool {
+        !self.given().is_empty()
     }
 
     /// The options that are typed.
-    pub fn typed(&self) -> Vec<&'static str> {
+    pub fn given(&self) -> Vec<&'static str> {
         let Self { cameras, camera, eye, target, fov, turntable } = self;
         let options = [
             ("--cameras", cameras.is_some()),
@@ -66,7 +66,7 @@ impl CameraArgs {
             ("--fov", fov.is_some()),
             ("--turntable", turntable.is_some()),
         ];
-        options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
+        options.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
     }
 
     /// Whether cameras are to be placed: by --eye or --turntable.

@@ -83,7 +83,7 @@ pub struct CodecArgs {
 
 impl CodecArgs {
     /// The options that differ from their defaults.
-    pub fn typed(&self) -> Vec<&'static str> {
+    pub fn given(&self) -> Vec<&'static str> {
         let options = [
             ("--profile", self.profile != ProfileName::Dgs1),
             ("--coarseness", self.coarseness != COARSENESS),
@@ -100,7 +100,7 @@ impl CodecArgs {
             ("--repair-set", self.repair_set.is_some()),
             ("--repair", self.repair.is_some()),
         ];
-        options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
+        options.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
     }
 
     /// The options that differ from their defaults and mean nothing to the profile.
@@ -108,7 +108,7 @@ impl CodecArgs {
         if self.profile == ProfileName::Dgs1 {
             return Vec::new();
         }
-        self.typed().into_iter().filter(|name| OF_DGS1.contains(name)).collect()
+        self.given().into_iter().filter(|name| OF_DGS1.contains(name)).collect()
     }
 }
 

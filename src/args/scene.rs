@@ -67,14 +67,14 @@ impl SceneArgs {
     }
 
     /// The options that differ from their defaults.
-    pub fn typed(&self) -> Vec<&'static str> {
+    pub fn given(&self) -> Vec<&'static str> {
         let options = [
             ("--keep-readable", self.keep_readable),
             ("--max-gaussians", self.max_gaussians != MAX_GAUSSIANS),
             ("--up", self.up.is_some()),
             ("--footprint", self.footprint.is_some()),
         ];
-        let others = options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name);
+        let others = options.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name);
         self.scene_only().into_iter().chain(others).collect()
     }
 
@@ -104,7 +104,7 @@ impl SceneArgs {
             ("--seed", self.seed.is_some()),
             ("--identity-stored", self.identity_stored),
         ];
-        options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
+        options.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
     }
 }
 

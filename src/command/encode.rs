@@ -191,8 +191,8 @@ fn said(
 /// Where the target PSNR is measured, if there is one, and what that is for people.
 fn target_views(args: &Encode, scene: &Scene) -> Result<Option<(TargetViews, String)>> {
     if args.codec.target_psnr.is_none() {
-        let is_typed = args.view.width.is_some() || args.view.height.is_some();
-        if args.cameras.is_typed() || is_typed || args.view.background != [0.0; 3] {
+        let is_given = args.view.width.is_some() || args.view.height.is_some();
+        if args.cameras.is_given() || is_given || args.view.background != [0.0; 3] {
             bail!("cameras and pictures are for --target-psnr, which is missing");
         }
         return Ok(None);

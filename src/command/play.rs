@@ -51,7 +51,7 @@ impl FrameSink for States<'_> {
         }
         self.watching = match self.wanted.map_or(Ok(()), |wanted| check_frames(wanted, message)) {
             Err(error) => Some(Err(error)),
-            Ok(()) => self.args.cameras.is_typed().then(|| watching(self.args, message)),
+            Ok(()) => self.args.cameras.is_given().then(|| watching(self.args, message)),
         };
     }
 

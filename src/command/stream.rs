@@ -28,7 +28,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         let others: Vec<&Path> = std::iter::once(Path::new(&args.input)).chain(args.out.as_deref()).collect();
         files::check_apart(states, &others).context("--states")?;
     }
-    if args.no_pose && !args.cameras.is_typed() {
+    if args.no_pose && !args.cameras.is_given() {
         bail!("--no-pose is for a viewer; --eye, --turntable or --cameras gives one");
     }
     let mut warnings = Vec::new();
@@ -44,8 +44,8 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     };
     warnings.extend(link.warnings.iter().cloned());
     let policy = pipeline::policy(args.policy);
-    let watching = if args.cameras.is_typed() { Some(watching(args, &stream)?) } else { None };
-    let unused = args.view.typed();
+    let watching = if args.cameras.is_given() { Some(watching(args, &stream)?) } else { None };
+    let unused = args.view.given();
     if watching.is_none() && !unused.is_empty() {
         let names = unused.join(", ");
         warnings.push(format!("not used without a viewer (--eye, --turntable or --cameras): {names}"));

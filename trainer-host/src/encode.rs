@@ -44,7 +44,7 @@ pub use evaluator::MeasuredViews;
 pub use ledger::{Ledger, LedgerPart, Share};
 pub use options::{EncodeOptions, Target, TargetViews};
 pub use packet_report::PacketReport;
-pub use profile::{again, decide, with_levels, write};
+pub use profile::{decide, reencode, with_levels, write};
 pub use progress::{Progress, no_progress};
 pub use protection::{Protection, ProtectionError, Strength};
 pub use report::{ClusteringReport, Encoded, Report, SearchReport, TargetReport};

@@ -10,7 +10,6 @@ use dgs_viewer::{Conditions, DrawOptions, Drawn, Screen, Session, Wanted, messag
 use crate::{
     Arrival, Feed, FeedRequest, WindowError, WindowOptions,
     controls::{Act, next_background},
-    feed::next_scheduler,
     title::title,
 };
 
@@ -105,7 +104,7 @@ impl Engine {
         if asks {
             self.network = requested.or(self.network);
             if act == Act::Scheduler {
-                self.scheduler = next_scheduler(self.scheduler);
+                self.scheduler = next_scheduler(&self.options.schedulers, self.scheduler);
             }
             let (conditions, scheduler) = (self.network, self.scheduler);
             self.feed.request(FeedRequest::Network { conditions, scheduler });
@@ -348,4 +347,10 @@ fn until_next_frame(session: &Session) -> f64 {
     let seconds = left / clock.rate().abs().max(1e-3);
     // A tenth of a millisecond more, so that the frame is due then.
     if seconds.is_finite() { (seconds + 1e-4).clamp(1e-3, LONGEST_S) } else { LONGEST_S }
+}
+
+/// The scheduler after `now` in `all`; first and last is the server's own, `None`.
+fn next_scheduler(all: &[&'static str], now: Option<&'static str>) -> Option<&'static str> {
+    let after = now.and_then(|now| all.iter().position(|name| *name == now)).map_or(0, |at| at + 1);
+    all.get(after).copied()
 }

@@ -47,16 +47,6 @@ pub enum Arrival {
     End(Option<String>),
 }
 
-/// Schedulers that a server may be asked for, as `dgs serve --policy` names them.
-pub(crate) const SCHEDULERS: [&str; 5] =
-    ["layered", "dash", "dependency", "deadline-utility", "deadline-utility-paper"];
-
-/// The one after `now`, which is first or last the server's own, `None`.
-pub(crate) fn next_scheduler(now: Option<&'static str>) -> Option<&'static str> {
-    let after = now.and_then(|now| SCHEDULERS.iter().position(|name| *name == now)).map_or(0, |at| at + 1);
-    SCHEDULERS.get(after).copied()
-}
-
 /// What the window asks for.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FeedRequest {

@@ -114,7 +114,7 @@ fn pictures(args: &Compare, a: &Pictures, b: &Pictures) -> Result<Chosen> {
 fn unused_for_pictures(args: &Compare) -> Vec<&'static str> {
     let sides = [("--width", args.view.width.is_some()), ("--height", args.view.height.is_some())];
     let sides = sides.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name);
-    args.cameras.typed().into_iter().chain(sides).chain(args.scene.typed()).collect()
+    args.cameras.given().into_iter().chain(sides).chain(args.scene.given()).collect()
 }
 
 /// Pairs of renders of `frames` and pictures that are there: of side A if `is_first`.

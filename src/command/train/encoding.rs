@@ -134,7 +134,7 @@ pub(super) fn within_loss(
     let trained_db = psnr_db(&trained.shown())?;
     let attempt = |coarseness: f64| -> Result<Attempt> {
         let encoded = match decisions {
-            Some(decisions) => encode::again(scene, decisions, coarseness as f32, &options, &progress),
+            Some(decisions) => encode::reencode(scene, decisions, coarseness as f32, &options, &progress),
             None => {
                 let quality = QuantiserSteps::default().scaled(coarseness as f32);
                 encode::encode(scene, &EncodeOptions { quality, ..options.clone() }, &progress)

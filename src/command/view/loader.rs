@@ -13,17 +13,16 @@ use std::{
 };
 
 use anyhow::{Context, Result, bail};
-use clap::ValueEnum as _;
 use codec_core::internals::wire::receipt::ViewerPose;
 use dgs_quic::socket::{
     ClientConfig, Conditions, FrameSink, Granted, Locator, RoundRequest, Trust, ViewerLink, play,
 };
 use dgs_viewer::{Conditions as Network, FIRST_BYTES};
 use dgs_window::{Arrival, Feed, FeedRequest, Feeder, feed};
-use emulator_host::Rate;
+use emulator_host::{PolicyKind, Rate};
 use ureq::{Agent, Body, http::Response};
 
-use crate::{args::PolicyName, command::socket::runtime, pipeline::policy};
+use crate::command::socket::runtime;
 
 /// Largest file, bytes.
 const MAX_FILE_BYTES: u64 = 4 << 30;
@@ -194,8 +193,8 @@ impl FrameSink for Forwarding {
 /// of a scene that is all there no packet is lost.
 fn conditions(network: Option<&Network>, scheduler: Option<&str>) -> Conditions {
     let wanted = Conditions::NONE.with_rounds_anew();
-    let scheduler = scheduler.and_then(|name| PolicyName::from_str(name, false).ok());
-    let wanted = scheduler.map_or(wanted, |name| wanted.with_scheduler(policy(name)));
+    let kind = PolicyKind::ALL.into_iter().find(|kind| Some(kind.name()) == scheduler);
+    let wanted = kind.map_or(wanted, |kind| wanted.with_scheduler(kind));
     let Some(network) = network else { return wanted.with_link_as_it_is() };
     let Network { loss, burst, rate_bps, delay_s, seed } = *network;
     let rate = rate_bps.map(|bps| Rate(bps.round() as u64));

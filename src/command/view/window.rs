@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use dgs_viewer::Session;
 use dgs_window::{Feed, WindowOptions, picture, run};
+use emulator_host::PolicyKind;
 use serde_json::json;
 use trainer_host::scene::Up;
 
@@ -104,5 +105,6 @@ fn options(args: &View, input: &str, up: Option<Up>) -> Result<WindowOptions> {
         playing: !look.paused,
         fullscreen: look.fullscreen,
         closes: look.once,
+        schedulers: PolicyKind::ALL.map(PolicyKind::name).to_vec(),
     })
 }

@@ -36,7 +36,7 @@ impl Decisions {
         }
     }
 
-    /// These epochs and then those of `next`, for [`again`](super::again) on a scene of both: it decides
+    /// These epochs and then those of `next`, for [`reencode`](super::reencode) on a scene of both: it decides
     /// tables anew, and what both share is as here. Nothing for profile `paper` or for two profiles.
     #[must_use]
     pub fn followed_by(self, next: Self) -> Option<Self> {

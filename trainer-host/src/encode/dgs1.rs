@@ -93,7 +93,7 @@ pub(super) fn with_levels(
 ///
 /// # Errors
 /// As [`decide`].
-pub(super) fn again(
+pub(super) fn reencode(
     scene: &Scene,
     mut decisions: Dgs1Decisions,
     motion: f32,

@@ -78,7 +78,7 @@ pub fn with_levels(
 ///
 /// # Errors
 /// As [`write()`].
-pub fn again(
+pub fn reencode(
     scene: &Scene,
     decisions: &Decisions,
     motion: f32,
@@ -87,7 +87,7 @@ pub fn again(
 ) -> Result<Encoded, EncodeError> {
     let Decisions::Dgs1(decided) = decisions else { return write(scene, decisions, progress) };
     decisions.check(scene)?;
-    let decided = dgs1::again(scene, decided.clone(), motion, options)?;
+    let decided = dgs1::reencode(scene, decided.clone(), motion, options)?;
     write(scene, &Decisions::Dgs1(decided), progress)
 }
 

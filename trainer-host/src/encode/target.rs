@@ -9,7 +9,7 @@ use render_host::Settings;
 use super::{
     Analysis, Decisions, EncodeError, EncodeOptions, Encoded, Progress, Target, TargetReport, TargetViews,
     evaluator::{Evaluator, spread},
-    profile::{again, decide_and_write},
+    profile::{decide_and_write, reencode},
 };
 use crate::scene::Scene;
 
@@ -84,11 +84,11 @@ pub(super) fn encode(
 /// Excess where there is no stream: that of one 20 times too large.
 const NO_STREAM: f64 = 3.0;
 
-/// As [`again`], with steps of motion such that the stream comes close to the size that `options` name, if
+/// As [`reencode`], with steps of motion such that the stream comes close to the size that `options` name, if
 /// they do.
 ///
 /// # Errors
-/// As [`again`], or a size that steps of motion do not lead to.
+/// As [`reencode`], or a size that steps of motion do not lead to.
 pub fn reencode_to_size(
     scene: &Scene,
     decisions: &Decisions,
@@ -97,14 +97,14 @@ pub fn reencode_to_size(
 ) -> Result<Encoded, EncodeError> {
     let target = match options.target {
         Some(target @ (Target::Bytes(_) | Target::BitsPerGaussian(_))) => target,
-        None | Some(Target::PsnrDb(_)) => return again(scene, decisions, 1.0, options, progress),
+        None | Some(Target::PsnrDb(_)) => return reencode(scene, decisions, 1.0, options, progress),
     };
     target.check()?;
     let (finest, coarsest) = MOTION_STEPS;
     let search = Search { low: finest.ln(), high: coarsest.ln(), slope: 0.2, close: CLOSE };
     let found = search.run(|at| {
         let motion = at.exp() as f32;
-        match again(scene, decisions, motion, options, progress) {
+        match reencode(scene, decisions, motion, options, progress) {
             // Motion as fine as this does not fit its packets: that, too, is more than there may be.
             Err(error @ EncodeError::BlockTooLarge { .. }) => Ok((NO_STREAM, Err(error))),
             encoded => {

@@ -277,7 +277,7 @@ fn a_finished_scene_beats_a_plain_one_of_the_same_size() {
         let scene = finished.model().scene(4, 30.0).unwrap();
         let decisions = finished.decisions().unwrap().unwrap();
         let options = encode::EncodeOptions::default();
-        let ours = encode::again(&scene, &decisions, 1.0, &options, &crate::encode::no_progress).unwrap();
+        let ours = encode::reencode(&scene, &decisions, 1.0, &options, &crate::encode::no_progress).unwrap();
 
         let never = Finish { prune: 0.0, round_from: 1.0, ..Finish::default() };
         let plain = trained(&dataset, &TrainOptions { finish: never, seed, ..self::finished() }, 900);

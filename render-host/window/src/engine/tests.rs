@@ -30,6 +30,7 @@ fn options() -> WindowOptions {
         playing: true,
         fullscreen: false,
         closes: false,
+        schedulers: vec!["layered", "deadline-utility"],
     }
 }
 
@@ -167,20 +168,14 @@ fn a_server_may_choose_packets_by_another_scheduler() {
         assert!(requests.contains(&FeedRequest::From(0.0)), "{requests:?}");
         requests.into_iter().find(|request| matches!(request, FeedRequest::Network { .. })).unwrap()
     };
-    let wish = |scheduler| FeedRequest::Network { conditions: None, scheduler };
-    for (scheduler, name) in [
-        ("layered", " · layered"),
-        ("dash", " · dash"),
-        ("dependency", " · dependency"),
-        ("deadline-utility", " · deadline-utility"),
-        ("deadline-utility-paper", " · deadline-utility-paper"),
-    ] {
-        assert_eq!(press(&mut engine), wish(Some(scheduler)));
+    let request = |scheduler| FeedRequest::Network { conditions: None, scheduler };
+    for (scheduler, name) in [("layered", " · layered"), ("deadline-utility", " · deadline-utility")] {
+        assert_eq!(press(&mut engine), request(Some(scheduler)));
         feeder.arrivals.send(Arrival::Network { by_server: true, by_scheduler: true }).unwrap();
         engine.tick(0.0, None, SIZE).unwrap();
         assert!(engine.title().ends_with(name), "{}", engine.title());
     }
-    assert_eq!(press(&mut engine), wish(None));
+    assert_eq!(press(&mut engine), request(None));
     assert!(engine.title().ends_with("frames/s"), "{}", engine.title());
     // What is not granted is said and no longer shown; a file has no server.
     press(&mut engine);

@@ -69,7 +69,7 @@ impl Coded {
     ///
     /// # Errors
     /// Parameters that are not finite, or a block that no longer fits a packet.
-    pub(super) fn again(
+    pub(super) fn rewrite(
         source: &Scene,
         parameters: &Parameters,
         decisions: &Decisions,
@@ -79,10 +79,10 @@ impl Coded {
         Self::new(source, encode::write(&scene, &decisions, &crate::encode::no_progress)?, parameters.clone())
     }
 
-    /// As [`Coded::again`], with entropy tables, at most `table_choices` to a set, for what is coded now.
+    /// As [`Coded::rewrite`], with entropy tables, at most `table_choices` to a set, for what is coded now.
     ///
     /// # Errors
-    /// As [`Coded::again`].
+    /// As [`Coded::rewrite`].
     pub(super) fn with_tables(
         source: &Scene,
         parameters: &Parameters,
@@ -391,7 +391,7 @@ mod tests {
         for (i, values) in parameters.all_mut().enumerate() {
             *values = std::array::from_fn(|c| 0.1 * (((i * 31 + c * 17) % 19) as f32 / 9.0 - 1.0));
         }
-        let coded = Coded::again(&scene, &parameters, &coded.encoded.decisions).unwrap();
+        let coded = Coded::rewrite(&scene, &parameters, &coded.encoded.decisions).unwrap();
         let moving = coded.moving(&scene, &parameters);
         let (complete, frame) = (coded.received.content().blocks.to_vec(), 2);
         let shown = moving.shown(&mut coded.player(), &complete, frame).unwrap();
@@ -439,13 +439,13 @@ mod tests {
         for (i, values) in parameters.all_mut().enumerate() {
             *values = std::array::from_fn(|c| 0.3 * (((i * 31 + c * 17) % 19) as f32 / 9.0 - 1.0));
         }
-        let again = Coded::again(&scene, &parameters, &first.encoded.decisions).unwrap();
-        assert_eq!(again.encoded.order, first.encoded.order);
+        let rewritten = Coded::rewrite(&scene, &parameters, &first.encoded.decisions).unwrap();
+        assert_eq!(rewritten.encoded.order, first.encoded.order);
         let complete = first.received.content().blocks.to_vec();
         let show = |coded: &Coded, parameters: &Parameters| {
             coded.moving(&scene, parameters).shown(&mut coded.player(), &complete, 1).unwrap()
         };
-        let (encoded, drifted) = (show(&again, &parameters), show(&first, &parameters));
+        let (encoded, drifted) = (show(&rewritten, &parameters), show(&first, &parameters));
         let still = show(&first, &no_change(&scene));
         let distance = |a: &Shown, b: &Shown| -> f64 {
             let pairs = a.gaussians.iter().zip(&b.gaussians);

@@ -71,7 +71,7 @@ pub fn evaluate(
     references: &[Reference],
 ) -> Result<Evaluation, DeliveryError> {
     let parameters = no_change(scene);
-    let coded = Coded::again(scene, &parameters, decisions)?;
+    let coded = Coded::rewrite(scene, &parameters, decisions)?;
     evaluate_coded(&coded.moving(scene, &parameters), masks, references)
 }
 

@@ -129,7 +129,7 @@ pub fn resume(
             if update > run.warm_up() {
                 at.steps.advance();
             }
-            coded = coding.again(&mut at.steps, &at.parameters)?;
+            coded = coding.coded(&mut at.steps, &at.parameters)?;
             at.encoded = Some(at.parameters.clone());
             rate_model = RateModel::of(scene, &at.parameters, &coded.encoded.decisions);
         }
@@ -169,7 +169,7 @@ pub fn resume(
     let (parameters, decisions) = match at.best()? {
         Some(best) => best,
         None => {
-            let decisions = coding.again(&mut at.steps, &at.parameters)?.encoded.decisions;
+            let decisions = coding.coded(&mut at.steps, &at.parameters)?.encoded.decisions;
             (at.parameters, decisions)
         }
     };
@@ -220,7 +220,7 @@ impl<'a> Coding<'a> {
     /// The scene with `parameters`, coded with `steps`.
     ///
     /// # Errors
-    /// As [`Coded::again`].
+    /// As [`Coded::rewrite`].
     fn with_steps(&self, steps: &Steps, parameters: &Parameters) -> Result<Coded, DeliveryError> {
         Coded::with_tables(self.scene, parameters, &steps.of(&self.decisions), self.table_choices)
     }
@@ -228,8 +228,8 @@ impl<'a> Coding<'a> {
     /// The same, or with the steps before their last change where these do not fit packets or symbols.
     ///
     /// # Errors
-    /// As [`Coded::again`].
-    fn again(&self, steps: &mut Steps, parameters: &Parameters) -> Result<Coded, DeliveryError> {
+    /// As [`Coded::rewrite`].
+    fn coded(&self, steps: &mut Steps, parameters: &Parameters) -> Result<Coded, DeliveryError> {
         let first = self.with_steps(steps, parameters);
         let fits = match &first {
             Ok(coded) => coded.encoded.report.ledger.saturated <= self.saturated,

@@ -137,3 +137,17 @@ fn conditions_come_back_as_written_and_never_out_of_bounds() {
     }
     assert!(message(&body[1..]).is_err());
 }
+
+/// The page writes conditions itself.
+#[test]
+fn the_page_numbers_schedulers_as_the_message_does() {
+    let page = include_str!("../../../../../render-host/viewer/page/conditions.js");
+    let list = page.split_once("SCHEDULERS = [").unwrap().1.split_once(']').unwrap().0;
+    let names: Vec<_> = list.split(',').map(|name| name.trim().trim_matches('"')).collect();
+    assert_eq!(names.len(), emulator_host::PolicyKind::ALL.len() + 1);
+    for kind in emulator_host::PolicyKind::ALL {
+        let mut body = Vec::new();
+        Conditions::NONE.with_scheduler(kind).write(&mut body);
+        assert_eq!(names[usize::from(body[1])], kind.name());
+    }
+}
