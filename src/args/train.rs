@@ -91,6 +91,7 @@ pub struct Train {
     pub evaluations: u32,
     /// Fine-tune for what delivery leaves: reconstruction, iid, burst-cvar, mixed, or a JSON file of
     /// options. A dataset is trained first; a scene is taken as it is and compared with its own renders.
+    /// Pixels that masks of a dataset leave out (mask_path) stay as they were trained.
     /// Also writes registration.json (what was fixed before), delivery.json (what came of it) and
     /// delivery.dgst (to resume). `recorded` in the file of options names states of a real delivery, which
     /// `dgs stream --states` writes: every other world of mixed is one of them.

@@ -8,6 +8,7 @@ mod carrier;
 mod channel;
 mod client;
 mod control;
+mod conversation;
 mod greeting;
 mod identity;
 mod impair;

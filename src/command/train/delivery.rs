@@ -35,9 +35,6 @@ const BACKGROUND: [f32; 3] = [0.0; 3];
 
 /// Refuses before the training what would end it afterwards.
 pub(super) fn check(args: &Train, dataset: &Dataset, options: &DeliveryOptions) -> Result<()> {
-    if dataset.train.photographs().iter().any(|view| view.counted.is_some()) {
-        bail!("{}: has masks (mask_path), which fine-tuning does not heed: not allowed", dataset.name);
-    }
     options.recorded.as_deref().map(Recording::read).transpose().context("recorded")?;
     let found = dataset.train.photographs().len().min(args.references);
     let needed = if options.validation.candidates == 0 { 1 } else { options.validation.every };
@@ -133,7 +130,7 @@ pub(super) fn fine_tuned(
         encode: pipeline::encode_options(&args.codec, Protection::NONE),
         ..options.clone()
     };
-    let references = references(dataset, scene.frames(), (args.references, max_side), background)?;
+    let references = references(dataset, scene, (args.references, max_side), background)?;
     let begun = begun(args, folder)?;
     let every = CHECKPOINT_EVERY.min(args.checkpoint_every as usize);
     let unsaved = RefCell::new(None);
@@ -213,12 +210,11 @@ pub(super) fn outcome(record: &Record, options: &DeliveryOptions) -> String {
 /// longer than `max_side` pixels.
 fn references(
     dataset: &Dataset,
-    frames: usize,
+    scene: &Scene,
     (count, max_side): (usize, u32),
     background: [f32; 3],
 ) -> Result<Vec<Reference>> {
     let views = dataset.train.sample(count);
-    let last = frames.saturating_sub(1) as f64;
     let reference = |view: &train::PosedPhotograph| {
         let (shortest, longest) = {
             let (width, height) = (view.camera.width(), view.camera.height());
@@ -226,11 +222,7 @@ fn references(
         };
         // By a whole number, as photographs are reduced; one that leaves something of the shorter side.
         let by = (shortest / 400).max(longest.div_ceil(max_side)).clamp(1, shortest);
-        let (width, height) = (view.camera.width() / by, view.camera.height() / by);
-        let picture = view.photograph.over(background).resized_box(width, height)?;
-        let camera = view.camera.resized(width, height).context("--references")?;
-        let frame = (f64::from(view.time) * last).round() as u32;
-        Ok(Reference { frame, camera, background, picture })
+        Reference::of_photograph(view, scene, by, background).context("--references")
     };
     views.photographs().iter().map(reference).collect()
 }

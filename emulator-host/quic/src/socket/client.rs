@@ -8,47 +8,30 @@ use std::{
 };
 
 use dgs_player::Player;
-use quinn::{Connection, ConnectionError, Endpoint, SendStream, TransportErrorCode};
+use quinn::{Connection, ConnectionError, Endpoint, TransportErrorCode};
 use tokio::time::{sleep, sleep_until, timeout};
 use url::Url;
 
 use super::{
-    channel::{Channel, Closed, Opened, QuicCloser},
-    control::{Control, ControlError},
+    channel::{Channel, Closed, Opened},
+    control::Control,
+    conversation::Conversation,
     identity::{Mismatch, Trust},
     limits::client_transport,
     locator::Locator,
-    message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
+    message::{Refusal, RefusalCode},
     playback::Playback,
     scheme::Scheme,
-    screen::{FrameSink, PlayReport, RoundRequest},
+    screen::{FrameSink, PlayReport},
     settings::{ClientConfig, PlayError},
 };
 
 /// Addresses of a name that are tried.
 const MAX_ADDRESSES: usize = 4;
-/// A receipt leaves with every so many datagrams.
-const RECEIPT_EVERY: u32 = 2;
-/// And so long after any datagram at the latest.
-const RECEIPT_DELAY: Duration = Duration::from_millis(25);
-/// And at least so often: what was repeated enough and lost all the same is said again, and the server sees
-/// that somebody is there.
-const RECEIPT_INTERVAL: Duration = Duration::from_millis(100);
-
 /// Time that a session has to say bye.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
-/// Rounds of a clip that repeats are this far apart at least: a server takes five seeks a second.
-const ROUND_INTERVAL: Duration = Duration::from_millis(200);
-/// How often a viewer who is ahead of a stream that grows asks for its newest window.
-const NEWEST_INTERVAL: Duration = Duration::from_millis(500);
 /// Between a connection that was lost or not made and the next.
 const BEFORE_RECONNECTING: Duration = Duration::from_millis(200);
-
-/// Without any media for so long after the manifest, the client asks for it in streams.
-const NO_DATAGRAMS: Duration = Duration::from_secs(1);
-
-/// What a session is held on.
-type Conversation<'c> = (&'c Channel, &'c mut QuicCloser, &'c mut SendStream, Control<ServerMessage>);
 
 /// What came of playing.
 #[derive(Debug)]
@@ -158,9 +141,11 @@ async fn session(
     let (endpoint, connection) = connect(config).await?;
     let result = match open(config, &connection).await {
         Ok((channel, mut ending, (mut send, receive))) => {
-            let control = Control::new(receive);
-            let result =
-                converse(config, playback, screen, (&channel, &mut ending, &mut send, control)).await;
+            let ends = (&channel, &mut ending, &mut send);
+            let result = match Conversation::begin(config, playback, screen, ends).await {
+                Ok(conversation) => conversation.run(Control::new(receive)).await,
+                Err(error) => Err(error),
+            };
             ending.close(0, "bye").await;
             result
         }
@@ -261,158 +246,4 @@ fn handshake(config: &ClientConfig, mismatch: &Mismatch, error: ConnectionError)
         }
         (_, _, error) => PlayError::Handshake(error.to_string()),
     }
-}
-
-/// Says hello and plays.
-async fn converse(
-    config: &ClientConfig,
-    playback: &mut Playback,
-    screen: &mut dyn FrameSink,
-    (channel, ending, send, mut control): Conversation<'_>,
-) -> Result<(), PlayError> {
-    let stream = config.locator.stream.clone();
-    let hello = ClientMessage::Hello { stream, start_us: playback.start_us() };
-    say(send, &hello).await?;
-    if let Some(conditions) = playback.begin_under_conditions() {
-        say(send, &conditions).await?;
-    }
-    let mut in_streams = config.streams;
-    if in_streams {
-        say(send, &ClientMessage::Streams).await?;
-    }
-    // When to conclude that the path drops datagrams; none once a packet has come.
-    let mut streams_at = None;
-    let mut deadline = Instant::now() + config.silence;
-    let mut history_at = Instant::now() + RECEIPT_INTERVAL;
-    let mut answer_at = None;
-    let mut unanswered = 0;
-    let mut had_manifest = false;
-    let mut leave = playback.leaving();
-    let (mut round_at, mut newest_at) = (Instant::now(), Instant::now());
-    loop {
-        let now = Instant::now();
-        playback.show_due(screen)?;
-        let is_over = playback.is_over();
-        // A stream that grows has no begin to go back to.
-        if is_over && (!config.loops || playback.grows()) {
-            return say(send, &ClientMessage::Bye).await;
-        }
-        // Its last frame is shown as long as the others.
-        let over_at = playback.next_time().map_or(now, |ends| ends.max(round_at + ROUND_INTERVAL));
-        if is_over && now >= over_at {
-            round_at = now;
-            say(send, &playback.next_round(RoundRequest::default())?).await?;
-            if playback.begins_anew() {
-                screen.forget();
-            }
-            continue;
-        }
-        if had_manifest
-            && now >= newest_at
-            && let Some(request) = playback.newest_request()?
-        {
-            newest_at = now + NEWEST_INTERVAL;
-            say(send, &playback.next_round(request)?).await?;
-            continue;
-        }
-        // A stream that grows is shown at its newest end.
-        if had_manifest
-            && let Some(request) = screen.requested_round()
-            && (request.conditions.is_some() || !playback.grows())
-        {
-            say(send, &playback.next_round(request)?).await?;
-            deadline = Instant::now() + config.silence;
-            if playback.begins_anew() {
-                screen.forget();
-            }
-            continue;
-        }
-        let (history, late) = (now >= history_at, answer_at.is_some_and(|at| now >= at));
-        // Until conditions are granted it is not known whether what is there still counts.
-        let is_due = history || late || unanswered >= RECEIPT_EVERY || playback.wants_receipt();
-        if had_manifest && !playback.awaits_grant() && is_due {
-            let receipt = playback.receipt(history);
-            if in_streams {
-                say(send, &ClientMessage::Receipt(receipt)).await?;
-            } else {
-                // A receipt that finds no room is as lost as one that is dropped on the way.
-                let _ = channel.send(receipt.into());
-            }
-            (unanswered, answer_at, history_at) = (0, None, now + RECEIPT_INTERVAL);
-        }
-        if streams_at.is_some_and(|at| now >= at) {
-            (in_streams, streams_at) = (true, None);
-            say(send, &ClientMessage::Streams).await?;
-        }
-        let receipt_at = answer_at.map_or(history_at, |at| history_at.min(at));
-        let is_silent = !had_manifest || playback.awaits_grant();
-        if is_silent && now >= deadline {
-            return Err(PlayError::Silence { ms: config.silence.as_millis() });
-        }
-        let wake = if is_silent {
-            deadline
-        } else if is_over {
-            over_at.min(receipt_at)
-        } else {
-            playback.next_time().map_or(receipt_at, |due| due.min(receipt_at))
-        };
-        tokio::select! {
-            // What the server says before media holds of that media, where both have come.
-            biased;
-            _ = leave.wait_for(|leaves| *leaves) => return say(send, &ClientMessage::Bye).await,
-            message = control.next() => {
-                match message {
-                    Ok(Some(ServerMessage::Manifest(message))) if !had_manifest => {
-                        playback.manifest(&message)?;
-                        screen.manifest(&message);
-                        had_manifest = true;
-                        streams_at = (!in_streams).then_some(now + NO_DATAGRAMS);
-                        history_at = now;
-                    }
-                    Ok(Some(ServerMessage::Manifest(_))) => {
-                        return Err(PlayError::Nonsense("a second manifest".to_owned()));
-                    }
-                    Ok(Some(ServerMessage::Begin { round, start_us })) => playback.begin_at(round, start_us)?,
-                    Ok(Some(ServerMessage::Granted { round, granted })) => {
-                        playback.granted(round, granted)?;
-                        screen.granted(granted);
-                        if playback.begins_anew() {
-                            screen.forget();
-                        }
-                    }
-                    Ok(Some(ServerMessage::Refusal(refusal))) => return Err(PlayError::Refused(refusal)),
-                    Ok(None) | Err(ControlError::Lost(_)) => return Err(gone(ending).await),
-                    Err(error) => return Err(PlayError::Nonsense(error.to_string())),
-                }
-            }
-            datagram = channel.read() => {
-                let datagram = datagram.map_err(|error| PlayError::Lost(error.into()))?;
-                streams_at = None;
-                if playback.awaits_grant() {
-                    continue;
-                }
-                playback.media(&datagram)?;
-                screen.media(&datagram);
-                unanswered += 1;
-                answer_at = answer_at.or(Some(now + RECEIPT_DELAY));
-            }
-            () = sleep_until(wake.into()) => {}
-        }
-    }
-}
-
-/// The server has ended the stream: why, once the connection has ended too.
-async fn gone(ending: &mut QuicCloser) -> PlayError {
-    match timeout(Duration::from_secs(1), ending.closed()).await {
-        Ok(error) => PlayError::Lost(error),
-        Err(_) => PlayError::Nonsense("the control stream ended".to_owned()),
-    }
-}
-
-async fn say(send: &mut SendStream, message: &ClientMessage) -> Result<(), PlayError> {
-    let written = send.write_all(&message.to_bytes()).await;
-    written.map_err(|error| match error {
-        quinn::WriteError::ConnectionLost(error) => PlayError::Lost(error.into()),
-        other => PlayError::Nonsense(other.to_string()),
-    })
 }

@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use render_host::{Camera, Image, Renderer, Settings, Splats};
+use render_host::{Camera, Image, Renderer, Settings, Splats, metric};
 
 use super::{error::DeliveryError, temporal};
-use crate::scene::Scene;
+use crate::{scene::Scene, train::PosedPhotograph};
 
 /// A picture of a scene: a photograph, or a render of a better scene.
 #[derive(Clone, Debug)]
@@ -32,6 +32,34 @@ pub(super) struct View {
 }
 
 impl Reference {
+    /// A photograph as a picture of the frame of `scene` at its time, `by` times smaller (1 to its shorter
+    /// side) and over `background`. Where a mask leaves pixels out there is what `scene` itself shows: nothing
+    /// else is known of them, and they stay as they are.
+    ///
+    /// # Errors
+    /// A picture that cannot be reduced so far, or what the renderer refuses.
+    pub fn of_photograph(
+        view: &PosedPhotograph,
+        scene: &Scene,
+        by: u32,
+        background: [f32; 3],
+    ) -> Result<Self, DeliveryError> {
+        let (width, height) = (view.camera.width() / by.max(1), view.camera.height() / by.max(1));
+        let photograph = view.photograph.over(background).resized_box(width, height)?;
+        let camera = view.camera.resized(width, height)?;
+        let last = scene.frames().saturating_sub(1) as f64;
+        let frame = (f64::from(view.time) * last).round() as u32;
+        let picture = match &view.counted {
+            None => photograph,
+            Some(mask) => {
+                let settings = Settings { parallel: true, ..Settings::over(background) };
+                let shown = render(scene, frame, &camera, &settings.with_footprint(scene.footprint))?;
+                metric::where_counted(&photograph, &shown, mask.reduced(by.max(1)).values())?
+            }
+        };
+        Ok(Self { frame, camera, background, picture })
+    }
+
     /// `settings` with what is behind everything in the picture.
     pub(super) fn settings(&self, settings: &Settings) -> Settings {
         Settings { background: self.background, ..settings.clone() }
@@ -97,12 +125,15 @@ fn render(scene: &Scene, frame: u32, camera: &Camera, settings: &Settings) -> Re
 
 #[cfg(test)]
 pub(super) mod tests {
+    use render_host::adjoint::loss::photograph::Photograph;
+
     use super::*;
     use crate::{
         import::{
             Limits,
             synth::{self, SynthKind},
         },
+        train::PixelMask,
         viewpoint::{Framing, Ring},
     };
 
@@ -136,6 +167,32 @@ pub(super) mod tests {
         assert!(found[4].change.is_none() && found[5].change.is_none(), "there is no frame 3");
         let alone = views(&scene, &references[..1], &settings).unwrap();
         assert!(alone[0].change.is_some() && alone[0].change != Some(wanted));
+    }
+
+    #[test]
+    fn where_a_mask_leaves_pixels_out_a_reference_is_what_the_scene_shows() {
+        let (scene, references) = study(3, 1);
+        let (width, height) = (40, 32);
+        let grey = vec![128; 4 * width * height];
+        let values = (0..width * height).map(|at| u8::from(at % width < 20)).collect();
+        let view = PosedPhotograph {
+            name: "r_0.png".into(),
+            time: 0.4,
+            camera: references[0].camera.clone(),
+            photograph: Photograph::new(width as u32, height as u32, grey).unwrap(),
+            foreground: None,
+            counted: PixelMask::new(width as u32, height as u32, values),
+        };
+        let made = Reference::of_photograph(&view, &scene, 2, [0.0; 3]).unwrap();
+        assert_eq!((made.frame, made.picture.width(), made.picture.height()), (1, 20, 16));
+        let shown = render(&scene, 1, &made.camera, &Settings::over([0.0; 3])).unwrap();
+        let whole = PosedPhotograph { counted: None, ..view };
+        let photograph = Reference::of_photograph(&whole, &scene, 2, [0.0; 3]).unwrap().picture;
+        for (at, pixel) in made.picture.rgb().chunks_exact(3).enumerate() {
+            let wanted = if at % 20 < 10 { &photograph } else { &shown };
+            assert_eq!(pixel, &wanted.rgb()[3 * at..][..3], "pixel {at}");
+        }
+        assert_ne!(photograph, shown);
     }
 
     #[test]
