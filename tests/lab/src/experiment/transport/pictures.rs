@@ -205,13 +205,17 @@ fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>]) {
         push(format!("deadline-utility.less_{name}.distortion_saved"), mean(&saved), "x 10^-3, paired");
         let psnr = |w: &Window<Seen>| w.runs[OURS].psnr_db - w.runs[at].psnr_db;
         push(format!("deadline-utility.less_{name}.psnr"), mean(&psnr), "dB, paired");
+        let worst = |w: &Window<Seen>| w.runs[OURS].worst_tenth_db - w.runs[at].worst_tenth_db;
+        push(format!("deadline-utility.less_{name}.worst_tenth"), mean(&worst), "dB, paired");
+        let similar = |w: &Window<Seen>| w.runs[OURS].ssim - w.runs[at].ssim;
+        push(format!("deadline-utility.less_{name}.ssim"), mean(&similar), "paired");
+        let frozen = |w: &Window<Seen>| 100.0 * (w.runs[OURS].frozen - w.runs[at].frozen);
+        push(format!("deadline-utility.less_{name}.frozen"), mean(&frozen), "% of frames, paired");
+        let missed = |w: &Window<Seen>| 100.0 * (w.runs[OURS].base_miss - w.runs[at].base_miss);
+        push(format!("deadline-utility.less_{name}.base_miss"), mean(&missed), "%, paired");
     }
     for (at, policy) in POLICIES.iter().enumerate().filter(|(at, _)| *at != OURS) {
-        let gain = |w: &Window<Seen>| w.runs[at].distortion - w.runs[OURS].distortion;
-        let [better, surely, worse, of] = families(windows, &gain);
-        let key = format!("pictures.{stream}.deadline-utility.families_over_{}", policy.name());
-        let words = format!("of {of} families smaller D, {surely} beyond doubt, {worse} larger beyond doubt");
-        bench.push(Figure::new(key, better as f64, &words));
+        push_families(bench, windows, &format!("pictures.{stream}.deadline-utility"), (at, policy.name()));
     }
     let runs = || windows.iter().flat_map(|window| &window.runs);
     let utility: Vec<f64> = runs().map(|run| run.utility).collect();
@@ -221,27 +225,56 @@ fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>]) {
     bench.push(figure.runs(utility.len()));
 }
 
+/// In how many families the default scheduler shows better pictures than the scheduler `at`.
+fn push_families(bench: &mut Bench, windows: &[Window<Seen>], key: &str, (at, name): (usize, &str)) {
+    type Gain<'g> = &'g dyn Fn(&Seen, &Seen) -> f64;
+    let measures: [(&str, &str, Gain<'_>); 3] = [
+        ("families", "D", &|ours, theirs| theirs.distortion - ours.distortion),
+        ("psnr_families", "PSNR", &|ours, theirs| ours.psnr_db - theirs.psnr_db),
+        ("worst_tenth_families", "worst tenth", &|ours, theirs| ours.worst_tenth_db - theirs.worst_tenth_db),
+    ];
+    for (part, what, gain) in measures {
+        let gain = |window: &Window<Seen>| gain(&window.runs[OURS], &window.runs[at]);
+        let [better, surely, worse, of] = families(windows, &gain);
+        let words =
+            format!("of {of} families better {what}, {surely} beyond doubt, {worse} worse beyond doubt");
+        bench.push(Figure::new(format!("{key}.{part}_over_{name}"), better as f64, &words));
+    }
+}
+
 /// From the bound down to `layered`: where the distance goes.
 fn push_limits(bench: &mut Bench, stream: &str, windows: &[Limited]) {
-    let live: Vec<&Limited> = windows.iter().filter(|(_, limits)| limits.bound >= LIVE).collect();
-    let steps = Steps::of(&windows.iter().collect::<Vec<_>>());
-    let mut push = |key: &str, value: f64, unit: &str| {
-        bench.push(Figure::new(format!("pictures.{stream}.{key}"), value, unit).runs(windows.len()));
+    let utilities = |(window, limits): &Limited| Window {
+        family: window.family,
+        trace: window.trace,
+        runs: vec![limits.bound, limits.ideal, window.runs[OURS].utility, window.runs[LAYERED].utility],
     };
-    push("bound.utility", steps.bound, "at most");
+    let all: Vec<Window<f64>> = windows.iter().map(utilities).collect();
+    let live: Vec<Window<f64>> =
+        windows.iter().filter(|(_, limits)| limits.bound >= LIVE).map(utilities).collect();
+    let mut push = |key: &str, (value, ci): (f64, [f64; 2]), unit: &str, of: usize| {
+        let mut figure = Figure::new(format!("pictures.{stream}.{key}"), value, unit).runs(of);
+        figure.ci95 = Some(ci);
+        bench.push(figure);
+    };
+    let of_all = |statistic: &dyn Fn(&Steps) -> f64| clustered(&all, &|drawn| statistic(&Steps::of(drawn)));
+    push("bound.utility", of_all(&|steps| steps.bound), "at most", all.len());
+    push("bound.distance", of_all(&Steps::distance), "from layered", all.len());
     push(
         "deadline-utility.ideal_transport.utility",
-        steps.ideal,
+        of_all(&|steps| steps.ideal),
         "link filled, nothing lost, its rate known",
+        all.len(),
     );
-    let distance = steps.bound - steps.layered;
-    let of_it = |part: f64| 100.0 * part / distance;
-    push("deadline-utility.lost_to_plan", of_it(steps.bound - steps.ideal), "% of the distance, at most");
-    push("deadline-utility.lost_to_transport", of_it(steps.ideal - steps.ours), "% of the distance");
-    let words = format!("% of the distance, in the {} windows whose bound is above {LIVE}", live.len());
-    push("deadline-utility.share_live", Steps::of(&live).share(), &words);
-    let key = format!("pictures.{stream}.deadline-utility.share");
-    bench.push(Figure::new(key, steps.share(), "% of the distance").error(distance, "distance"));
+    let part = "% of the distance";
+    let to_plan = of_all(&|steps| 100.0 * (steps.bound - steps.ideal) / steps.distance());
+    push("deadline-utility.lost_to_plan", to_plan, "% of the distance, at most", all.len());
+    let to_transport = of_all(&|steps| 100.0 * (steps.ideal - steps.ours) / steps.distance());
+    push("deadline-utility.lost_to_transport", to_transport, part, all.len());
+    let of_live = clustered(&live, &|drawn| Steps::of(drawn).share());
+    let words = format!("{part}, in windows whose bound is above {LIVE}");
+    push("deadline-utility.share_live", of_live, &words, live.len());
+    push("deadline-utility.share", of_all(&Steps::share), part, all.len());
 }
 
 /// Mean utilities from the bound downwards.
@@ -253,19 +286,18 @@ struct Steps {
 }
 
 impl Steps {
-    fn of(windows: &[&Limited]) -> Self {
-        let mean = |of: &dyn Fn(&Limited) -> f64| {
-            windows.iter().map(|window| of(window)).sum::<f64>() / windows.len() as f64
-        };
-        Self {
-            bound: mean(&|(_, limits)| limits.bound),
-            ideal: mean(&|(_, limits)| limits.ideal),
-            ours: mean(&|(window, _)| window.runs[OURS].utility),
-            layered: mean(&|(window, _)| window.runs[LAYERED].utility),
-        }
+    /// Of windows with these four, in this order.
+    fn of(windows: &[&Window<f64>]) -> Self {
+        let mean =
+            |at: usize| windows.iter().map(|window| window.runs[at]).sum::<f64>() / windows.len() as f64;
+        Self { bound: mean(0), ideal: mean(1), ours: mean(2), layered: mean(3) }
+    }
+
+    fn distance(&self) -> f64 {
+        self.bound - self.layered
     }
 
     fn share(&self) -> f64 {
-        100.0 * (self.ours - self.layered) / (self.bound - self.layered)
+        100.0 * (self.ours - self.layered) / self.distance()
     }
 }
