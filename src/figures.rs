@@ -26,6 +26,15 @@ impl Machine {
     }
 }
 
+/// How often what was shown stood still, and for how many frames in all.
+pub fn frozen(freezes: u64, frames: u64) -> String {
+    match freezes {
+        0 => "no freeze".to_owned(),
+        1 => format!("1 freeze of {frames} frames"),
+        _ => format!("{freezes} freezes of {frames} frames in all"),
+    }
+}
+
 /// A number with as many digits as it deserves.
 pub fn number(value: f64) -> String {
     match value.abs() {

@@ -20,6 +20,7 @@ mod datagram;
 mod delivery_log;
 mod feedback;
 mod forecast;
+mod freezes;
 mod ideal;
 mod loss_share;
 mod media_receiver;
@@ -44,6 +45,7 @@ use crate::{
 };
 
 pub use crate::startup::{Startup, StartupRule};
+pub use freezes::Freezes;
 pub use ideal::run_ideal;
 pub use media_receiver::MediaReceiver;
 pub use media_sender::{MediaSender, SendingRules};

@@ -23,7 +23,7 @@ use super::{
 };
 use crate::{
     args::Play,
-    figures::mean,
+    figures::{frozen, mean},
     output::VerbOutput,
     pictures::{PictureOutput, PictureRun, PictureWriter},
     pipeline::{self, Frames, Quiet, Watching},
@@ -284,7 +284,7 @@ fn summary(args: &Play, report: &PlayReport, quality: Option<&Quality>) -> Strin
     let late = report.shown.iter().map(|shown| shown.late_ms).fold(0.0, f64::max);
     let mut text = format!(
         "{}\n  startup {startup}, {} frames shown of a clip of {}, {} rounds, at most {late:.1} ms late\n  \
-         base missed {:.2} %, {:.2} of 4 levels usable\n  {} packets, {:.1} KiB, {} recovered by repair, {} \
+         base missed {:.2} %, {:.2} of 4 levels usable, {}\n  {} packets, {:.1} KiB, {} recovered by repair, {} \
          twice, {} refused, {} connections\n",
         args.url,
         report.shown_count,
@@ -292,6 +292,7 @@ fn summary(args: &Play, report: &PlayReport, quality: Option<&Quality>) -> Strin
         report.rounds,
         100.0 * report.base_miss_rate,
         report.mean_levels,
+        frozen(report.freezes, report.frozen_frames),
         report.packets,
         report.received_bytes as f64 / 1024.0,
         report.recovered,

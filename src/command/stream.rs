@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
-use emulator_host::{Report, SessionConfig};
+use emulator_host::{Report, SessionConfig, session::Freezes};
 use render_host::metric;
 use serde_json::{Value, json};
 use trainer_host::{Stream, evaluator, train::delivery::Recording};
@@ -12,7 +12,7 @@ use trainer_host::{Stream, evaluator, train::delivery::Recording};
 use crate::{
     args::{StreamArgs, TransportName},
     delivery::ShownState,
-    figures::{counted, mean, number},
+    figures::{counted, frozen, mean, number},
     files,
     output::VerbOutput,
     pipeline::{self, Delivered, Frames, Lost, Quiet, Sendable, Watching},
@@ -58,11 +58,13 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     let mean_rate = link.mean_until(report.duration_ns);
     let is_model = args.link.transport == TransportName::Model;
     let best = if is_model { link.best_possible(&report, &graph) } else { None };
+    let mut freezes = Freezes::new(graph.frame_interval());
+    report.frames.iter().for_each(|row| freezes.show(1.0 - row.base_miss));
     let mut text = format!(
         "{} over {}\n  startup {}, miss {:.1} % (base {:.1} %), utility {:.3}{}\n  \
          limited by {limit}\n  \
-         goodput {} kbit/s, usable {} kbit/s, wasted {:.1} KiB, {} of {} frames shown, {} recovered by \
-         repair\n  lost {lost}{}{}\n",
+         goodput {} kbit/s, usable {} kbit/s, wasted {:.1} KiB, {} of {} frames shown, {}, {} \
+         recovered by repair\n  lost {lost}{}{}\n",
         report.policy,
         link.description,
         startup(&report),
@@ -75,6 +77,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         report.waste.total_bytes() as f64 / 1024.0,
         shown.len(),
         graph.frames(),
+        frozen(freezes.count(), freezes.frames()),
         report.recovered,
         report.one_way_delay.map_or(String::new(), |[median, tail]| {
             format!("; one way {:.0} ms, 95 % within {:.0} ms", median.as_ms(), tail.as_ms())
@@ -92,6 +95,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         "one_way_delay_ms": report.one_way_delay.map(|[median, tail]| {
             json!({ "median": median.as_ms(), "p95": tail.as_ms() })
         }),
+        "freezes": { "count": freezes.count(), "frames": freezes.frames() },
         "report": report,
         "warnings": warnings,
     });

@@ -275,7 +275,8 @@ fn trace(
     let mut replay = match (&table.file, table.constant_mbps, table.bursty) {
         (Some(file), None, None) => {
             let recording = pipeline::read_recording(&folder.join(file)).with_context(|| key("file"))?;
-            warnings.extend(recording.notes.iter().map(|note| format!("trace {}: {note}", table.name)));
+            warnings
+                .extend(recording.notes.iter().map(|note| format!("trace {}: {file}: {note}", table.name)));
             recording.replay
         }
         (None, Some(rate), None) => {
@@ -290,7 +291,7 @@ fn trace(
             bail!("traces[{at}] ({:?}) has delays; no delay_file is allowed beside them", table.name);
         }
         let delays = pipeline::read_delays(&folder.join(file)).with_context(|| key("delay_file"))?;
-        warnings.extend(delays.unit_warning().map(|doubt| format!("trace {}: {doubt}", table.name)));
+        warnings.extend(delays.unit_warning().map(|doubt| format!("trace {}: {file}: {doubt}", table.name)));
         replay.delay = Some(delays);
     }
     let capacity = &replay.capacity;

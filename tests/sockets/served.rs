@@ -204,6 +204,26 @@ fn who_serves_is_checked_by_pin_and_by_authority() {
     });
 }
 
+/// `openssl req -x509` makes such certificates unless it is asked for others.
+#[test]
+fn a_server_with_the_certificate_of_an_authority_is_refused_in_words() {
+    within(async {
+        let folder = tempfile::tempdir().unwrap();
+        let (certificate, key) = (folder.path().join("cert.pem"), folder.path().join("key.pem"));
+        let mut params = rcgen::CertificateParams::new(["127.0.0.1".to_owned()]).unwrap();
+        params.is_ca = rcgen::IsCa::Ca(rcgen::BasicConstraints::Unconstrained);
+        let pair = rcgen::KeyPair::generate().unwrap();
+        std::fs::write(&certificate, params.self_signed(&pair).unwrap().pem()).unwrap();
+        std::fs::write(&key, pair.serialize_pem()).unwrap();
+        let identity = Identity::read(&certificate, &key).unwrap();
+        let server = Running::with(identity, ServerLimits::default(), None);
+        let config = ClientConfig { trust: Trust::Authority(certificate), ..server.client() };
+        let said = server.play(&config).await.unwrap_err().to_string();
+        assert!(said.contains("authority (CA:TRUE)") && said.contains("pin"), "{said}");
+        server.stop().await;
+    });
+}
+
 #[test]
 fn a_server_that_closes_says_so() {
     within(async {

@@ -42,6 +42,7 @@ pub use limits::ServerLimits;
 pub use locator::{DEFAULT_PORT, Locator, LocatorError};
 pub use message::{Conditions, Granted, ViewerLink};
 #[cfg(feature = "moq")]
+pub(crate) use per_address::PerAddress;
 pub(crate) use playback::Playback;
 pub use scheme::Scheme;
 pub use screen::{FrameShown, FrameSink, NullSink, PlayReport, RoundRequest};

@@ -26,7 +26,7 @@ use super::{
     site::Site,
     upgrade,
 };
-use crate::socket::WebSocketAcceptor;
+use crate::socket::{PerAddress, WebSocketAcceptor};
 
 /// How long answers may take to end when the server closes.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
@@ -38,6 +38,8 @@ const EXHAUSTED: Duration = Duration::from_millis(50);
 pub struct HttpLimits {
     /// Connections at once; more are closed at once.
     pub max_connections: usize,
+    /// Those of one address, or of one network of IPv6 (/64).
+    pub max_connections_per_address: usize,
     /// Bytes of a request's head, at least 8192.
     pub head_bytes: usize,
     /// From the start of a connection, or the end of the last answer, to the end of a request's head.
@@ -47,10 +49,16 @@ pub struct HttpLimits {
 }
 
 impl Default for HttpLimits {
-    /// 256 connections, 16 KiB, 10 s, 10 s.
+    /// 256 connections, 64 of one address, 16 KiB, 10 s, 10 s.
     fn default() -> Self {
         let ten = Duration::from_secs(10);
-        Self { max_connections: 256, head_bytes: 16 << 10, head_wait: ten, progress: ten }
+        Self {
+            max_connections: 256,
+            max_connections_per_address: 64,
+            head_bytes: 16 << 10,
+            head_wait: ten,
+            progress: ten,
+        }
     }
 }
 
@@ -76,7 +84,7 @@ pub struct HttpError {
 pub struct HttpReport {
     /// Connections taken.
     pub connections: u64,
-    /// Connections closed at once, for there were too many.
+    /// Connections closed at once, for there were too many, in all or of their address.
     pub turned_away: u64,
     /// Requests answered, refusals included.
     pub requests: u64,
@@ -136,6 +144,7 @@ impl HttpServer {
     /// Serves until `stop` ends. Answers that have begun are ended, within two seconds, before this returns.
     pub async fn run(self, stop: impl Future<Output = ()>) -> HttpReport {
         let mut report = HttpReport::default();
+        let places = PerAddress::new(self.limits.max_connections_per_address);
         let mut tasks = JoinSet::new();
         let (closing, closes) = watch::channel(false);
         let mut stop = std::pin::pin!(stop);
@@ -144,10 +153,18 @@ impl HttpServer {
                 accepted = self.listener.accept() => match accepted {
                     Ok(_) if tasks.len() >= self.limits.max_connections => report.turned_away += 1,
                     Ok((stream, address)) => {
+                        let Some(place) = places.take(address.ip()) else {
+                            report.turned_away += 1;
+                            continue;
+                        };
                         report.connections += 1;
                         let (site, entrance) = (self.site.clone(), self.entrance.clone());
                         let answering = Answering { site, entrance, address, counts: self.counts.clone() };
-                        tasks.spawn(serve(stream, answering, self.limits, closes.clone()));
+                        let serving = serve(stream, answering, self.limits, closes.clone());
+                        tasks.spawn(async move {
+                            serving.await;
+                            drop(place);
+                        });
                     }
                     // No memory or no file handle is free, or the client is gone already.
                     Err(_) => sleep(EXHAUSTED).await,

@@ -186,8 +186,13 @@ fn who_reads_steadily_gets_all_of_a_large_file() {
 }
 
 #[test]
-fn connections_beyond_the_bound_are_turned_away() {
-    let limits = HttpLimits { max_connections: 4, ..short(1000) };
+fn connections_beyond_the_bounds_are_turned_away() {
+    // Of all, and of one address.
+    turns_the_fifth_away(HttpLimits { max_connections: 4, ..short(1000) });
+    turns_the_fifth_away(HttpLimits { max_connections_per_address: 4, ..short(1000) });
+}
+
+fn turns_the_fifth_away(limits: HttpLimits) {
     let server = Running::start(limits);
     let mut open: Vec<TcpStream> = (0..4).map(|_| server.connect()).collect();
     let mut beyond = server.connect();

@@ -244,6 +244,17 @@ fn handshake(config: &ClientConfig, mismatch: &Mismatch, error: ConnectionError)
             let sentence = "it has no room for another connection".to_owned();
             PlayError::Refused(Refusal { code: RefusalCode::Full, sentence })
         }
-        (_, _, error) => PlayError::Handshake(error.to_string()),
+        (_, _, error) => PlayError::Handshake(explained(error.to_string())),
     }
+}
+
+/// What rustls says only by the name of an error in its code, in words.
+fn explained(error: String) -> String {
+    if error.contains("CaUsedAsEndEntity") {
+        return "the server's certificate is itself one of an authority (CA:TRUE), which may sign others but \
+                not be a server's: its pin is enough, or a certificate made with \
+                -addext basicConstraints=critical,CA:FALSE"
+            .to_owned();
+    }
+    error
 }

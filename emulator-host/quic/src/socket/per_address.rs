@@ -11,26 +11,26 @@ const IPV6_NETWORK: u128 = u128::MAX << 64;
 
 /// Places of which each address may hold so many.
 #[derive(Debug)]
-pub(super) struct PerAddress {
+pub(crate) struct PerAddress {
     most: usize,
     counts: Mutex<BTreeMap<IpAddr, usize>>,
 }
 
 /// A place; given back when it is dropped.
 #[derive(Debug)]
-pub(super) struct Place {
+pub(crate) struct Place {
     places: Arc<PerAddress>,
     holder: IpAddr,
 }
 
 impl PerAddress {
     /// `most` places for each address.
-    pub(super) fn new(most: usize) -> Arc<Self> {
+    pub(crate) fn new(most: usize) -> Arc<Self> {
         Arc::new(Self { most, counts: Mutex::default() })
     }
 
     /// One more place for `address`, if it may have it.
-    pub(super) fn take(self: &Arc<Self>, address: IpAddr) -> Option<Place> {
+    pub(crate) fn take(self: &Arc<Self>, address: IpAddr) -> Option<Place> {
         let holder = holder(address);
         let mut counts = self.lock();
         if counts.get(&holder).is_some_and(|count| *count >= self.most) {
@@ -41,7 +41,7 @@ impl PerAddress {
     }
 
     /// Places that `address` has.
-    pub(super) fn count(&self, address: IpAddr) -> usize {
+    pub(crate) fn count(&self, address: IpAddr) -> usize {
         self.lock().get(&holder(address)).copied().unwrap_or(0)
     }
 

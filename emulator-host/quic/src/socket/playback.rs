@@ -1,5 +1,6 @@
 //! Plays what arrives: the decoder of `dgs-player` under the receiver of `emulator-host`, in real time.
 
+mod seen;
 mod usable;
 
 use std::time::{Duration, Instant};
@@ -12,7 +13,10 @@ use emulator_host::{
 };
 use tokio::sync::watch;
 
-use self::usable::{base, has_come, levels};
+use self::{
+    seen::Seen,
+    usable::{base, has_come, levels},
+};
 use super::{
     message::{ClientMessage, Conditions, Granted},
     screen::{FrameShown, FrameSink, PlayReport, RoundRequest},
@@ -34,9 +38,6 @@ const BEGIN_WAIT: Nanos = Nanos::from_s(2);
 const STALLED: Duration = Duration::from_secs(10);
 /// Refused datagrams, besides one for each that was taken, before the server is left.
 const SPARE_REFUSALS: u64 = 5000;
-
-/// Frames remembered one by one.
-const MAX_SHOWN: usize = 1 << 16;
 
 /// A stream while it plays.
 pub(crate) struct Playback {
@@ -69,7 +70,7 @@ pub(crate) struct Playback {
     /// Whether conditions were asked for and not answered yet.
     unanswered: bool,
     report: PlayReport,
-    sums: (f64, f64),
+    seen: Seen,
     /// Of a stream that grows: where in the clip the last frame ends that had any base, microseconds.
     seen_us: u64,
     /// For how long frames without any have been shown since.
@@ -108,7 +109,7 @@ impl Playback {
             anew: false,
             unanswered: false,
             report: PlayReport { rounds: 1, connections: 1, ..PlayReport::default() },
-            sums: (0.0, 0.0),
+            seen: Seen::new(Nanos::ZERO),
             seen_us: 0,
             missing: Nanos::ZERO,
             base_at: None,
@@ -319,6 +320,9 @@ impl Playback {
         let (info, manifest) = (player.info(), player.manifest());
         self.starts = starts(manifest);
         self.interval = Nanos((1e9 / manifest.frames_per_second()).round() as u64);
+        if self.player.is_none() {
+            self.seen = Seen::new(self.interval);
+        }
         self.report.frames = info.frames;
         self.message = message.to_vec();
         self.player = Some(player);
@@ -410,12 +414,7 @@ impl Playback {
                 levels: levels(&usable.canonical, usable.blocks),
                 motion_levels: levels(&usable.motion, usable.blocks),
             };
-            self.sums = (self.sums.0 + shown.base_miss, self.sums.1 + shown.levels);
-            self.report.shown_count += 1;
-            if self.report.shown.len() >= MAX_SHOWN {
-                self.report.shown.drain(..MAX_SHOWN / 2);
-            }
-            self.report.shown.push(shown);
+            self.seen.show(shown, &mut self.report);
             screen.show(player, frame).map_err(PlayError::Nonsense)?;
             if self.grows {
                 let has_come = has_come(player, frame);
@@ -485,8 +484,7 @@ impl Playback {
 
     /// What was seen, and what has arrived.
     pub(super) fn end(mut self) -> (PlayReport, Option<Player>) {
-        let count = (self.report.shown_count as f64).max(1.0);
-        (self.report.base_miss_rate, self.report.mean_levels) = (self.sums.0 / count, self.sums.1 / count);
+        self.seen.end(&mut self.report);
         (self.report, self.player)
     }
 }

@@ -100,6 +100,10 @@ pub struct PlayReport {
     pub base_miss_rate: f64,
     /// Mean of [`FrameShown::levels`] over all frames shown.
     pub mean_levels: f64,
+    /// Freezes, as [`Freezes`](emulator_host::session::Freezes) counts them.
+    pub freezes: u64,
+    /// Frames in them.
+    pub frozen_frames: u64,
     /// Packets accepted, parity included.
     pub packets: u64,
     /// Bytes of datagrams received.

@@ -1,7 +1,7 @@
 //! Says what the viewer of one run saw: pictures against the source's, and when playout stood still.
 
 use anyhow::{Context, Result};
-use emulator_host::{Nanos, Report};
+use emulator_host::{Nanos, Report, session::Freezes};
 use render_host::{
     Image,
     metric::{self, Lpips},
@@ -9,12 +9,6 @@ use render_host::{
 use trainer_host::evaluator;
 
 use crate::setup::Setup;
-
-/// A frame of whose base less than this share is there shows no motion of its own.
-const MIN_BASE: f64 = 0.5;
-/// Frames without motion in a row are a freeze once they last longer than this and a frame (the threshold of
-/// webrtc-stats).
-const NOTICED: Nanos = Nanos::from_ms(150);
 
 /// Frames to render: some, spread over the clip, of which every fourth is followed by its successor, so that
 /// flicker can be seen.
@@ -99,8 +93,9 @@ impl Seen {
             let both = |of: &[Image]| [of[*frame].clone(), of[*next].clone()];
             flicker += metric::flicker(&both(images), &both(references))? / frames.pairs.len() as f64;
         }
-        let base: Vec<f64> = report.frames.iter().map(|row| 1.0 - row.base_miss).collect();
-        let (freezes, frozen) = freezes(&base, interval);
+        let mut freezes = Freezes::new(interval);
+        report.frames.iter().for_each(|row| freezes.show(1.0 - row.base_miss));
+        let minutes = interval.times(report.frames.len() as u64).as_s() / 60.0;
         Ok(Self {
             utility: report.utility,
             base_miss: report.base_miss_rate,
@@ -110,43 +105,15 @@ impl Seen {
             ssim,
             flicker,
             lpips,
-            freezes,
-            frozen,
+            freezes: freezes.count() as f64 / minutes.max(1e-9),
+            frozen: freezes.frames() as f64 / report.frames.len().max(1) as f64,
         })
     }
-}
-
-/// Freezes per minute, and the share of the frames in them, where `base` is the share of each frame's base
-/// that was there.
-fn freezes(base: &[f64], interval: Nanos) -> (f64, f64) {
-    let least = (NOTICED.0 / interval.0.max(1) + 1) as usize;
-    let still = base.chunk_by(|a, b| (*a < MIN_BASE) == (*b < MIN_BASE));
-    let still = still.filter(|run| run[0] < MIN_BASE && run.len() > least).map(<[f64]>::len);
-    let (count, frames) = still.fold((0, 0), |(count, frames), run| (count + 1, frames + run));
-    let minutes = interval.times(base.len() as u64).as_s() / 60.0;
-    (f64::from(count) / minutes.max(1e-9), frames as f64 / base.len().max(1) as f64)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_freeze_is_long_enough_to_be_noticed() {
-        let interval = Nanos(33_333_333);
-        let clip = |still: &[std::ops::Range<usize>]| {
-            let base: Vec<f64> = (0..900)
-                .map(|at| if still.iter().any(|run| run.contains(&at)) { 0.4 } else { 0.9 })
-                .collect();
-            freezes(&base, interval)
-        };
-        // A hole of five frames is none; ten and twenty are two in half a minute.
-        assert_eq!(clip(std::slice::from_ref(&(5..10))), (0.0, 0.0));
-        let (count, share) = clip(&[5..10, 100..110, 400..420]);
-        assert!((count - 4.0).abs() < 1e-6 && (share - 30.0 / 900.0).abs() < 1e-9, "{count} {share}");
-        let (count, share) = clip(std::slice::from_ref(&(0..900)));
-        assert!((count - 2.0).abs() < 1e-6 && share == 1.0);
-    }
 
     #[test]
     fn every_fourth_frame_is_followed_by_its_successor() {
