@@ -41,8 +41,8 @@ pub use impair::Impairment;
 pub use limits::ServerLimits;
 pub use locator::{DEFAULT_PORT, Locator, LocatorError};
 pub use message::{Conditions, Granted, ViewerLink};
-#[cfg(feature = "moq")]
 pub(crate) use per_address::PerAddress;
+#[cfg(feature = "moq")]
 pub(crate) use playback::Playback;
 pub use scheme::Scheme;
 pub use screen::{FrameShown, FrameSink, NullSink, PlayReport, RoundRequest};
