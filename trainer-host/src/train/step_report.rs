@@ -3,7 +3,7 @@
 /// What a step did.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepReport {
-    /// Steps taken, this one included.
+    /// Steps taken, this one included; after a rollback, those of the state that was fallen back to.
     pub step: u32,
     /// Index of the view in the training split.
     pub view: usize,
@@ -18,7 +18,16 @@ pub struct StepReport {
     /// Control nodes now.
     pub nodes: usize,
     /// What made training fall back to an earlier state, if it did.
-    pub rollback: Option<String>,
+    pub rollback: Option<Rollback>,
+}
+
+/// Why training fell back.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Rollback {
+    /// The step in which it was noticed, from 1.
+    pub step: u32,
+    /// What was wrong, in words.
+    pub what: String,
 }
 
 /// Parts of a step, for whoever measures them.

@@ -370,7 +370,11 @@ fn a_training_that_diverges_falls_back_and_then_gives_up_by_name() {
     };
     for _ in 0..3 {
         let rollback = poisoned_until_noticed().unwrap().unwrap();
-        assert!(rollback.contains("not a number"), "{rollback}");
+        assert!(rollback.what.contains("not a number"), "{rollback:?}");
+        assert!(
+            rollback.step > 0,
+            "the step that diverged, not the one that is fallen back to: {rollback:?}"
+        );
     }
     let error = poisoned_until_noticed().unwrap_err().to_string();
     assert!(error.contains("diverged at step"), "{error}");
