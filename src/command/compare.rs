@@ -149,7 +149,8 @@ fn sheets(args: &Compare, out: &Path) -> Result<PictureOutput> {
     let output = PictureOutput::of(out, None)?;
     if output.is_still() {
         bail!(
-            "{}: several pictures are written: name a folder, without an ending, or .mp4, .webm, .apng or .gif",
+            "{}: several pictures are written: name a folder, without an ending, or .mp4, .webm, .apng or \
+             .gif",
             out.display()
         );
     }

@@ -57,7 +57,7 @@ fn states_that_a_stream_recorded_are_trained_on() {
         let error = refused(at, &args);
         assert!(error.contains(states) && named.iter().all(|name| error.contains(name)), "{states}: {error}");
     };
-    bad("b.json", &["stream is", "dgs stream --states"]);
+    bad("b.json", &["stream is", "dgs encode SCENE -o ck.dgs", "dgs stream ck.dgs --states"]);
     fs::write(at.join("high.json"), written.replacen("0f", "1f", 1)).unwrap();
     bad("high.json", &["--delivery: recorded", "00 to 0f is allowed"]);
     fs::write(at.join("empty.json"), "").unwrap();
