@@ -215,7 +215,7 @@ pub(super) fn fit(
             None => (f64::from(report.step) / steps).max(least),
             Some(minutes) => begun + (1.0 - begun) * (seconds / (60.0 * minutes * (1.0 - begun).max(1e-9))),
         };
-        if let Some(train::Rollback { step, what }) = &report.rollback {
+        if let Some((step, what)) = &report.rollback {
             let note = format!("step {step}: {what}; fell back to step {}, with half the rates", report.step);
             if !quiet.0 {
                 bar.say(&format!("warning: {note}"));

@@ -17,17 +17,8 @@ pub struct StepReport {
     pub gaussians: usize,
     /// Control nodes now.
     pub nodes: usize,
-    /// What made training fall back to an earlier state, if it did.
-    pub rollback: Option<Rollback>,
-}
-
-/// Why training fell back.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Rollback {
-    /// The step in which it was noticed, from 1.
-    pub step: u32,
-    /// What was wrong, in words.
-    pub what: String,
+    /// Where training fell back to an earlier state: the step that led there, from 1, and what was wrong.
+    pub rollback: Option<(u32, String)>,
 }
 
 /// Parts of a step, for whoever measures them.

@@ -33,7 +33,7 @@ use super::{
     schedule,
     start::{self, Extent},
     state::{MAX_ROLLBACKS, State},
-    step_report::{Rollback, Stage, StepReport},
+    step_report::{Stage, StepReport},
     view_order::ViewOrder,
     views::{Dataset, Training, Views},
 };
@@ -211,9 +211,9 @@ impl<'a> Trainer<'a> {
             self.average(progress);
             diverged = self.keep_or_find_divergence();
         }
-        let rollback = diverged.map(|what| Rollback { step, what });
-        if let Some(rollback) = &rollback {
-            self.rollback(rollback)?;
+        let rollback = diverged.map(|what| (step, what));
+        if let Some((step, what)) = &rollback {
+            self.rollback(*step, what)?;
         }
         let state = &self.state;
         Ok(StepReport {
@@ -438,10 +438,10 @@ impl<'a> Trainer<'a> {
     }
 
     /// Falls back to the state before; from then on rates are half as large.
-    fn rollback(&mut self, diverged: &Rollback) -> Result<(), TrainError> {
+    fn rollback(&mut self, step: u32, what: &str) -> Result<(), TrainError> {
         let rollbacks = self.state.rollbacks + 1;
         if rollbacks > MAX_ROLLBACKS {
-            let Rollback { step, what } = diverged.clone();
+            let what = what.to_owned();
             self.state = self.fallback.clone();
             return Err(TrainError::Diverged { step, what, rollbacks: MAX_ROLLBACKS });
         }
