@@ -367,7 +367,7 @@ pub struct Demo {
     #[arg(long)]
     pub scene: Option<String>,
     /// Folder for the report.
-    #[arg(long, default_value = "dgs-demo")]
+    #[arg(short, long, default_value = "dgs-demo")]
     pub out: PathBuf,
     /// The link.
     #[command(flatten)]

@@ -72,6 +72,20 @@ pub(crate) fn check_stream(path: &Path, others: &[&Path]) -> Result<()> {
     check_apart(path, others)
 }
 
+/// Refuses a name with a number in it as other tools count files by, `f_%03d.png`: one file would get it.
+pub(crate) fn check_no_pattern(path: &Path) -> Result<()> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    // Not the escapes of addresses, which have two digits: `my%20dog.png`.
+    let counts = |rest: &str| {
+        let after = rest.trim_start_matches(|c: char| c.is_ascii_digit());
+        after.starts_with('d') && (rest.starts_with('0') || rest.len() - after.len() < 2)
+    };
+    if name.split('%').skip(1).any(counts) && !path.exists() {
+        bail!("{}: is one file; for one per frame name a folder, without an ending", path.display());
+    }
+    Ok(())
+}
+
 /// Refuses to write a file that is one of `others`, which are read or written besides, or a folder that one
 /// of them is in.
 ///

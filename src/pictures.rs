@@ -76,6 +76,9 @@ impl PictureOutput {
 
     fn of_name(path: &Path, codec: Option<VideoCodec>) -> Result<Self> {
         let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+        if ending.is_some() {
+            files::check_no_pattern(path)?;
+        }
         Ok(match ending.as_deref() {
             None if files::is_standard_output(path) => Self::Still(StillFormat::Png),
             None => Self::Folder,
@@ -308,6 +311,7 @@ mod tests {
     fn endings_decide_and_others_are_refused() {
         let of = |name: &str| PictureOutput::of(Path::new(name), None);
         assert_eq!(of("a.PNG").unwrap(), PictureOutput::Still(StillFormat::Png));
+        assert!(of("f_%03d.png").unwrap_err().to_string().contains("f_%03d.png: is one file; for one per"));
         assert_eq!(of("a.jpeg").unwrap(), PictureOutput::Still(StillFormat::Jpeg));
         assert_eq!(of("a.gif").unwrap(), PictureOutput::Animation(AnimationFormat::Gif));
         assert_eq!(of("a.mp4").unwrap(), PictureOutput::Video(VideoFormat::Av1(Container::Mp4)));

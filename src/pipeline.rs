@@ -110,6 +110,10 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         bail!("{input}: no such file or folder (built-in scenes are named synth:figure and the like)");
     }
     if is_stream(input) {
+        let trained = path.with_file_name("checkpoint.dgst");
+        if !piped::is_piped(path) && trained.is_file() {
+            bail!("{input}: is a stream, no scene; {} is the scene that was trained", trained.display());
+        }
         bail!(
             "{input}: is a stream, no scene: dgs inspect says what it holds, dgs convert makes a scene of it"
         );

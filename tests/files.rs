@@ -418,6 +418,8 @@ fn what_would_be_ignored_is_refused() {
     assert!(refused(at, &["convert", "x.dgs", "f", "--frame", "1"]).contains("every frame is written"));
     assert!(refused(at, &["view", "x.dgs", "--port", "0", "--seek", "3"]).contains("--window"));
     assert!(refused(at, &["import", "x.dgs"]).contains("is a stream, no scene"));
+    fs::write(at.join("checkpoint.dgst"), "").unwrap();
+    assert!(refused(at, &["import", "x.dgs"]).contains("checkpoint.dgst is the scene that was trained"));
     let pictures = ["encode", "synth:balls:1000:2", "-o", "y.dgs", "--background", "1"];
     assert!(refused(at, &pictures).contains("--target-psnr"));
     fs::write(at.join("trace.csv"), "0,2\n1,1\n").unwrap();

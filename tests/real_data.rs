@@ -66,3 +66,28 @@ fn a_real_clip_over_a_real_trace() {
         );
     }
 }
+
+/// What a stream is decoded to lies in the middle of two steps of `.4dgs` here and there.
+#[test]
+fn a_decoded_clip_is_written_as_4dgs() {
+    let Some(scene) = data("scenes/gltf-fox/Fox.glb") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let scene = scene.canonicalize().unwrap();
+    let encode = [
+        "encode",
+        scene.to_str().unwrap(),
+        "-o",
+        "fox.dgs",
+        "--samples",
+        "3000",
+        "--clip",
+        "Run",
+        "--pictures",
+        "0",
+    ];
+    for args in [&encode[..], &["convert", "fox.dgs", "fox.4dgs", "--frames", "0..1"]] {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_dgs"));
+        let output = command.current_dir(folder.path()).args(args).output().unwrap();
+        assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    }
+}

@@ -5,6 +5,8 @@
 #[cfg(unix)]
 #[path = "train/photographs.rs"]
 mod photographs;
+#[path = "train/recorded.rs"]
+mod recorded;
 
 use std::{
     fs,
@@ -328,6 +330,22 @@ fn options_and_inputs_are_refused_by_name() {
     fs::write(at.join("options.json"), r#"{"rigidty": 1}"#).unwrap();
     let error = refused(at, &["-o", "out", "--options", "options.json"]);
     assert!(error.contains("options.json") && error.contains("rigidty"), "{error}");
+    fs::write(at.join("options.json"), "[]").unwrap();
+    let error = refused(at, &["-o", "out", "--options", "options.json"]);
+    assert!(error.contains(r#"an object, {"max_gaussians": …}, is needed"#), "{error}");
+    // Names are offered where what was typed is no file, not where its file is wrong.
+    for (config, named, offers_names) in [
+        (r#"{"worlds": 100000000000}"#, "worlds is 100000000000; 1 to 10000 is allowed", false),
+        (r#"{"wrlds": 1}"#, "config.json: unknown field `wrlds`", false),
+        ("", "EOF", false),
+        ("nowhere.json", "nowhere.json: ", true),
+    ] {
+        fs::write(at.join("config.json"), config).unwrap();
+        let typed = if offers_names { config } else { "config.json" };
+        let error = refused(at, &["-o", "out", "--delivery", typed]);
+        assert!(error.contains("--delivery") && error.contains(typed) && error.contains(named), "{error}");
+        assert_eq!(error.contains("burst-cvar"), offers_names, "{error}");
+    }
     let error = refused(at, &["-o", "out", "--resume"]);
     assert!(error.contains("checkpoint.dgst: no such checkpoint"), "{error}");
     let output = train(at, &["-o", "out", "--canonical-time=nan"]);
@@ -365,74 +383,6 @@ fn wait_for(file: &Path, child: &mut std::process::Child) {
     while !file.exists() && child.try_wait().unwrap().is_none() {
         thread::sleep(Duration::from_millis(5));
     }
-}
-
-/// States that a lossy link left are what a scene is fine-tuned for; those of another stream are refused.
-#[test]
-fn states_that_a_stream_recorded_are_trained_on() {
-    let folder = tempfile::tempdir().unwrap();
-    let at = folder.path();
-    let made = |args: &[&str]| {
-        let output = dgs(at, args);
-        let error = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{args:?}: {error}");
-        String::from_utf8(output.stdout).unwrap()
-    };
-    let stream = |input: &str, states: &str| {
-        made(&["stream", input, "--impair", "loss=20%,rate=1mbit,delay=40ms", "--states", states])
-    };
-    made(&["encode", SCENE, "-o", "a.dgs", "--pictures", "0"]);
-    made(&["encode", SCENE, "-o", "b.dgs", "--pictures", "0", "--block-len", "16"]);
-    assert!(stream("a.dgs", "a.json").contains("displayed frames → a.json"));
-    stream("b.dgs", "b.json");
-    let written = fs::read_to_string(at.join("a.json")).unwrap();
-    let recorded: serde_json::Value = serde_json::from_str(&written).unwrap();
-    assert_eq!(recorded["stream"].as_str().map(str::len), Some(16), "{recorded}");
-    assert!(recorded["states"][0]["frame"] == 0 && recorded["states"][0]["arrived"].is_string());
-
-    let config = |states: &str| {
-        let config = format!(
-            r#"{{"updates": 2, "worlds": 4, "warm_up": 0.0, "recorded": {states:?},
-            "validation": {{"every": 4, "states": 2, "candidates": 1}}}}"#
-        );
-        fs::write(at.join("config.json"), config).unwrap();
-    };
-    let args = ["-o", "out", "--overwrite", "--delivery", "config.json", "--references", "8"];
-    let worlds = || -> serde_json::Value {
-        ok(at, &args);
-        serde_json::from_slice(&fs::read(at.join("out/delivery.json")).unwrap()).unwrap()
-    };
-    config("a.json");
-    let with = worlds();
-    fs::write(
-        at.join("config.json"),
-        fs::read_to_string(at.join("config.json")).unwrap().replace(r#""a.json""#, "null"),
-    )
-    .unwrap();
-    assert_ne!(with["worlds"], worlds()["worlds"]);
-
-    let bad = |states: &str, named: &[&str]| {
-        config(states);
-        let error = refused(at, &args);
-        assert!(error.contains(states) && named.iter().all(|name| error.contains(name)), "{states}: {error}");
-    };
-    bad("b.json", &["stream is", "dgs stream --states"]);
-    fs::write(at.join("high.json"), written.replacen("0f", "1f", 1)).unwrap();
-    bad("high.json", &["--delivery: recorded", "00 to 0f is allowed"]);
-    fs::write(at.join("empty.json"), "").unwrap();
-    bad("empty.json", &["--delivery: recorded", "EOF"]);
-    bad("nowhere.json", &["--delivery: recorded"]);
-
-    // Where nothing is displayed there is nothing to learn from, and over the input nothing is written.
-    fs::write(at.join("dead.txt"), "0 0\n3000 1\n").unwrap();
-    let dead = ["stream", "a.dgs", "--trace", "dead.txt", "--states", "dead.json"];
-    let output = dgs(at, &dead);
-    assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(String::from_utf8_lossy(&output.stdout).contains("no frame was displayed: dead.json"));
-    assert!(!at.join("dead.json").exists());
-    let output = dgs(at, &["stream", "a.dgs", "--states", "a.dgs"]);
-    assert_eq!(output.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("--states: a.dgs"));
 }
 
 /// Interrupted and resumed, a fine-tuning gives the bytes of one that was not interrupted.

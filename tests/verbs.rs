@@ -10,6 +10,8 @@ mod run;
 mod clipped;
 #[path = "verbs/compared.rs"]
 mod compared;
+#[path = "verbs/frames.rs"]
+mod frames;
 #[path = "verbs/gltf.rs"]
 mod gltf;
 #[path = "verbs/options.rs"]

@@ -109,8 +109,9 @@ pub struct Compare {
     /// What it is compared with: the reference.
     #[arg(value_parser = name())]
     pub b: String,
-    /// Write each picture of A, of B and their FLIP error map, side by side, to this folder.
-    #[arg(short, long, value_name = "FOLDER")]
+    /// Write each picture of A, of B and their FLIP error map, side by side: PNG in a folder, or one after
+    /// another in .mp4, .webm, .apng or .gif, camera by camera.
+    #[arg(short, long, value_name = "FILE|FOLDER")]
     pub out: Option<PathBuf>,
     /// Replace a folder of images that is there already.
     #[arg(long)]

@@ -19,8 +19,9 @@ use super::{
 #[derive(Clone, Debug, Args)]
 pub struct Train {
     /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), transforms.json (Nerfstudio),
-    /// sparse/0 (COLMAP) or train_meta.json (Panoptic). Or any scene that import reads: its own renders are
-    /// then the photographs, and a sequence without identity becomes one moving scene.
+    /// sparse/0 (COLMAP) or train_meta.json (Panoptic). Of COLMAP every eighth image, in the order of names,
+    /// is for testing, of Nerfstudio without lists every eighth frame. Or any scene that import reads: its
+    /// own renders are then the photographs, and a sequence without identity becomes one moving scene.
     #[arg(value_parser = name())]
     pub input: String,
     /// Folder to write into.
@@ -38,7 +39,8 @@ pub struct Train {
     pub minutes: Option<f64>,
     /// Go on from the checkpoint in --out, bit for bit; options of the training are those it was made with,
     /// and others are refused. --delivery, which goes on from delivery.dgst, and options of the encoder and
-    /// of a scene's renders (--cameras, --side) are typed as before.
+    /// of a scene's renders (--cameras, --side) are typed as before. A training that is complete can be
+    /// fine-tuned: `dgs train DATASET -o DIR --resume --delivery mixed`.
     #[arg(long)]
     pub resume: bool,
     /// Replace the training in --out: what it has written is removed.
@@ -89,12 +91,13 @@ pub struct Train {
     /// Times that quality is measured during training: 0 to 1000.
     #[arg(long, default_value_t = 10, value_parser = whole::<u32>(0..=1000, "times"))]
     pub evaluations: u32,
-    /// Fine-tune for what delivery leaves: reconstruction, iid, burst-cvar, mixed, or a JSON file of
-    /// options. A dataset is trained first; a scene is taken as it is and compared with its own renders.
-    /// Pixels that masks of a dataset leave out (mask_path) stay as they were trained.
-    /// Also writes registration.json (what was fixed before), delivery.json (what came of it) and
-    /// delivery.dgst (to resume). `recorded` in the file of options names states of a real delivery, which
-    /// `dgs stream --states` writes: every other world of mixed is one of them.
+    /// Fine-tune for what delivery leaves: reconstruction, iid, burst-cvar, mixed, or a JSON file of options.
+    /// A dataset is trained first; a scene is taken as it is and compared with its own renders. Pixels that
+    /// masks of a dataset leave out (mask_path) stay as they were trained. Also writes registration.json
+    /// (what was fixed before), delivery.json (what came of it) and delivery.dgst (to resume). `recorded` in
+    /// the file of options names states of a real delivery, which `dgs stream --states` writes: every other
+    /// world of mixed is one of them. Of a dataset it is trained first, and its stream is that of
+    /// DIR/checkpoint.dgst, which `dgs encode` makes.
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
     /// Largest loss of PSNR by encoding, dB.

@@ -24,9 +24,9 @@ use self::{
 use crate::{
     args::Compare,
     figures::{counted, mean},
-    files::{self, FrameFolder},
+    files,
     output::VerbOutput,
-    pictures::PictureOutput,
+    pictures::{PictureOutput, PictureRun, PictureWriter},
     pipeline::{self, Frames, Quiet},
     progress::Progress,
 };
@@ -63,13 +63,7 @@ struct MetricSummary {
 
 /// Runs the verb.
 pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
-    if let Some(out) = &args.out {
-        if PictureOutput::of(out, None).is_ok_and(|output| output != PictureOutput::Folder) {
-            bail!("{}: several pictures are written: name a folder, without an ending", out.display());
-        }
-        FrameFolder::check(out, args.overwrite)?;
-        files::check_apart(out, &[Path::new(&args.a), Path::new(&args.b)])?;
-    }
+    let output = args.out.as_deref().map(|out| sheets(args, out)).transpose()?;
     let network = args.lpips.as_deref().map(lpips).transpose()?;
     let backend = Backend::open(args.device.into()).context("--device")?;
     let level = Level::from_bits(args.level);
@@ -77,10 +71,20 @@ pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
     let mut open = |input: &str| Side::open(input, &args.scene, level, &mut |w| warnings.push(w));
     let (mut a, mut b) = (open(&args.a)?, open(&args.b)?);
     let turned = side::turned_alike(args, &mut a, &mut b)?;
-    let Chosen { pairs, cameras, notes: doubts } = pairs::choose(args, &mut a, &mut b)?;
+    let Chosen { mut pairs, cameras, notes: mut doubts } = pairs::choose(args, &mut a, &mut b)?;
+    if output.is_some_and(PictureOutput::is_moving) {
+        // The clip of one camera after that of another.
+        pairs.sort_by_key(|pair| pair.camera);
+    }
     let settings = pipeline::settings(&args.view);
 
-    let mut folder = args.out.as_deref().map(|out| FrameFolder::create(out, args.overwrite)).transpose()?;
+    let frames_per_second = [&b, &a].into_iter().find_map(rate);
+    let frames_per_second = frames_per_second.unwrap_or_else(|| args.scene.frames_per_second());
+    doubts.extend(output.and_then(|output| output.rounded_rate(frames_per_second)));
+    let (pictures, overwrite) = (pairs.len(), args.overwrite);
+    let run = PictureRun { pictures, frames_per_second, quality: None, overwrite };
+    let begin = |(out, output)| PictureWriter::begin(out, output, run);
+    let mut writer = args.out.as_deref().zip(output).map(begin).transpose()?;
     let mut renderers = [backend.frames()?, backend.frames()?];
     let mut rows = Vec::with_capacity(pairs.len());
     let progress = Progress::new("compare", quiet.0);
@@ -92,16 +96,18 @@ pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
         let (mut row, map) = compared(pair, &a, &b, network.as_ref())?;
         let is_blank = |picture: &Image| is_blank(picture, args.view.background);
         row.nothing_seen = pair.is_rendered() && is_blank(&a) && is_blank(&b);
-        if let Some(folder) = &mut folder {
+        if let Some((writer, output)) = writer.as_mut().zip(output) {
             let heat = metric::heat::map(a.width(), a.height(), &map, 1.0)?;
-            folder.add(format!("{}.png", pair.name), &Image::strip(&[&a, &b, &heat], 3, 2)?.to_png()?)?;
+            let sheet = Image::strip(&[&a, &b, &heat], 3, 2)?;
+            if done == 0 {
+                doubts.extend(output.rounded_up(sheet.width(), sheet.height()));
+            }
+            writer.add(&pair.name, &sheet)?;
         }
         rows.push(row);
     }
+    writer.map(PictureWriter::finish).transpose()?;
     drop(progress);
-    if let Some(folder) = folder {
-        folder.finish(args.overwrite)?;
-    }
     let gaussians = gaussians(&mut a, &mut b, &pairs)?;
     let unseen: Vec<&str> = rows.iter().filter(|row| row.nothing_seen).map(|row| &*row.name).collect();
     let unseen = (!unseen.is_empty()).then(|| not_counted(&unseen, rows.len())).transpose()?;
@@ -136,6 +142,29 @@ pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
     });
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
+}
+
+/// What A, B and FLIP are written as, side by side; asked before the work.
+fn sheets(args: &Compare, out: &Path) -> Result<PictureOutput> {
+    let output = PictureOutput::of(out, None)?;
+    if output.is_still() {
+        bail!(
+            "{}: several pictures are written: name a folder, without an ending, or .mp4, .webm, .apng or \
+             .gif",
+            out.display()
+        );
+    }
+    output.check(out, args.overwrite)?;
+    files::check_apart(out, &[Path::new(&args.a), Path::new(&args.b)])?;
+    Ok(output)
+}
+
+/// Frames per second of what has any.
+fn rate(side: &Side) -> Option<f64> {
+    match side {
+        Side::Frames(frames) => Some(frames.frames_per_second()),
+        Side::Pictures(_) => None,
+    }
 }
 
 fn lpips(path: &Path) -> Result<Lpips> {

@@ -33,9 +33,7 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let progress = Progress::new("convert", quiet.0);
     let mut warnings = Vec::new();
     let (alone, only) = (alone(args, output).then_some(only), only);
-    let (scene, is_decoded_alone) =
-        read(&args.input, &args.scene, alone, &progress, &mut |w| warnings.push(w))?;
-    let only = if is_decoded_alone { 0 } else { only };
+    let (scene, alone_of) = read(&args.input, &args.scene, alone, &progress, &mut |w| warnings.push(w))?;
     progress.stage("editing", 0.3);
     let before = (scene.max_count(), scene.frames());
     let scene = edited(args, scene, &progress, &mut warnings)?;
@@ -45,9 +43,9 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     progress.stage("writing", 0.6);
     let degree = scene.epochs().iter().map(|epoch| epoch.attributes().sh_degree).max().unwrap_or_default();
     warnings.extend(output.losses(degree, scene.footprint));
-    let count = scene.frames() as u32;
+    let count = alone_of.unwrap_or(scene.frames() as u32);
     let frame = |number: u32| {
-        let found = scene.locate(number as usize);
+        let found = scene.locate(if alone_of.is_some() { 0 } else { number as usize });
         let last = count - 1;
         let (epoch, t) = found.with_context(|| format!("--frame is {number}; 0 to {last} are allowed"))?;
         Ok((&scene.epochs()[epoch], t))
@@ -90,7 +88,7 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let json = json!({
         "input": args.input, "out": files::shown(&args.out),
         "buffer": buffer.as_deref().map(files::shown),
-        "gaussians": scene.max_count(), "frames": scene.frames(),
+        "gaussians": scene.max_count(), "frames": count,
         "bytes": bytes, "axes": turned, "notes": scene.notes, "warnings": warnings,
     });
     Ok(VerbOutput { text, json, warnings, damaged })
@@ -103,17 +101,17 @@ fn alone(args: &Convert, output: SceneOutput) -> bool {
 }
 
 /// The scene of `input`; a stream is decoded, of which only frame `only` if that is all that is needed: then
-/// `true` comes with it, and that frame is number 0.
+/// the scene is that frame alone, and how many frames the stream has comes with it.
 fn read(
     input: &str,
     args: &SceneArgs,
     only: Option<u32>,
     progress: &Progress,
     warn: &mut dyn FnMut(String),
-) -> Result<(Scene, bool)> {
+) -> Result<(Scene, Option<u32>)> {
     let last = Level::HIGHEST;
     let mut frames = match Frames::open(input, args, last, warn)? {
-        Frames::Scene(scene) => return Ok((*scene, false)),
+        Frames::Scene(scene) => return Ok((*scene, None)),
         stream @ Frames::Stream { .. } => stream,
     };
     let mut epochs = Vec::new();
@@ -133,7 +131,7 @@ fn read(
     scene.footprint = frames.footprint();
     scene.notes = frames.notes().to_vec();
     scene.notes.extend(left_out.sentence(&frames));
-    Ok((scene, only.is_some()))
+    Ok((scene, only.map(|_| frames.count())))
 }
 
 /// The scene with what is typed done to it, in the order of the help.

@@ -72,9 +72,7 @@ struct Input {
 
 /// Runs the verb.
 pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
-    let delivery = args.delivery.as_deref().map(DeliveryOptions::read).transpose();
-    let delivery =
-        delivery.context("--delivery: reconstruction, iid, burst-cvar, mixed, or a JSON file is allowed")?;
+    let delivery = args.delivery.as_deref().map(delivery::read).transpose()?;
     let typed = options(args)?;
     typed.validate()?;
     let resumed = resumed(args, &Folder::of(&args.out))?;
@@ -106,7 +104,9 @@ fn train(
         );
     }
     let network = args.lpips.as_deref().map(lpips).transpose()?;
-    delivery.map(|options| delivery::check(args, dataset, options)).transpose().context("--delivery")?;
+    let is_there = scene.is_some() || resumed.as_ref().is_some_and(|checkpoint| checkpoint.progress >= 1.0);
+    let check = |options| delivery::check(args, dataset, options, is_there);
+    delivery.map(check).transpose().context("--delivery")?;
     if scene.is_some() && delivery.is_some() && args.resume && !folder.tuning.is_file() {
         bail!(
             "--delivery: fine-tunes {} as it is, not what {} holds of its training; the checkpoint of that \
@@ -205,6 +205,12 @@ fn photographs(args: &Train, (mut dataset, trimmed): (Dataset, Option<Trimmed>))
             unused.join(", ")
         ));
     }
+    if dataset.test.is_empty() {
+        notes.push(format!(
+            "{}: no photographs are for testing; figures are of those that are trained on",
+            args.input
+        ));
+    }
     notes.extend(beyond_the_photographs(args, &dataset));
     notes.extend(trimmed.map(|trimmed| {
         let ((width, height), (to_width, to_height)) = (trimmed.before, trimmed.after);
@@ -278,7 +284,8 @@ fn finish(
     let preview = page.preview()?;
     files::write(&folder.preview, &preview.to_png()?)?;
     files::write(&folder.report, page.html()?.as_bytes())?;
-    let mut output = said(args, folder, trained, log, &figures, bytes.len(), &ended);
+    let sizes = (bytes.len(), written.stream.wire_bytes());
+    let mut output = said(args, folder, trained, log, &figures, sizes, &ended);
     let finished = Finished::of(trained, &written);
     output.text += &finished.text();
     output.json["finishing"] = json!(finished);
@@ -381,7 +388,7 @@ fn said(
     trained: &Trained,
     log: &Log,
     figures: &[Figure],
-    bytes: usize,
+    (bytes, wire_bytes): (usize, usize),
     ended: &Ended,
 ) -> VerbOutput {
     let frames = trained.scene.frames();
@@ -401,7 +408,7 @@ fn said(
         text += "  LPIPS: no weights given\n";
     }
     text += &format!(
-        "  {bytes} bytes, {frames} frames, in {}\n{}\n",
+        "  {bytes} bytes, {wire_bytes} on the wire, {frames} frames, in {}\n{}\n",
         folder.stream.display(),
         folder.report.display()
     );
@@ -416,6 +423,7 @@ fn said(
         "figures": figures,
         "stream": files::shown(&folder.stream),
         "bytes": bytes,
+        "wire_bytes": wire_bytes,
         "frames": frames,
         "checkpoint": files::shown(&folder.checkpoint),
         "log": files::shown(&folder.log),

@@ -33,6 +33,16 @@ fn renders_are_compared_with_what_their_cameras_see() {
     // Several pictures make no file of one.
     let text = stopped(at, &["compare", scene, scene, "-o", "maps.png"], 1);
     assert!(text.contains("maps.png: several pictures are written: name a folder"), "{text}");
+    // They move one after another, those of each camera together.
+    for (name, start) in [("maps.apng", &b"\x89PNG"[..]), ("maps.gif", b"GIF89a")] {
+        let clip = ["compare", scene, scene, "-o", name, "--frames", "1..2"];
+        let said = json(at, &[&clip[..], &SMALL[..]].concat());
+        let pictures = said["pictures"].as_array().unwrap();
+        assert!(pictures.is_sorted_by_key(|picture| picture["camera"].as_u64()), "{said}");
+        let file = fs::read(at.join(name)).unwrap();
+        let frames = file.windows(4).filter(|window| *window == b"fcTL").count();
+        assert!(file.starts_with(start) && (name == "maps.gif" || frames == pictures.len()), "{said}");
+    }
     // Other cameras than those of the pictures are named.
     ok(at, &[&["render", scene, "-o", "round", "--turntable", "4"], &SMALL[..]].concat());
     let (_, cameras) = compared(at, &["round", scene]);

@@ -83,6 +83,10 @@ fn faults_are_named_by_file_and_field() {
     fs::write(fresh.path().join("transforms_train.json"), b"{\"frames\": 3}").unwrap();
     assert!(refusal(fresh.path()).contains("transforms_train.json"));
 
+    write_split(fresh.path(), "train", &[]);
+    let text = refusal(fresh.path());
+    assert!(text.contains("transforms_train.json: frames is empty; at least 1 to train on"), "{text}");
+
     let empty = tempfile::tempdir().unwrap();
     let text = refusal(empty.path());
     assert!(text.contains("transforms_train.json") && text.contains("sparse/0"), "{text}");

@@ -27,8 +27,8 @@ pub struct WindowOptions {
     pub fullscreen: bool,
     /// Whether the window closes when the clip has been played once.
     pub closes: bool,
-    /// Schedulers that a server may be asked for, by the names that [`crate::FeedRequest::Network`] gives back,
-    /// in the order in which a key goes through them.
+    /// Schedulers that a server may be asked for, by the names that [`crate::FeedRequest::Network`] gives
+    /// back, in the order in which a key goes through them.
     pub schedulers: Vec<&'static str>,
 }
 

@@ -63,6 +63,7 @@ impl SceneOutput {
     fn named(path: &Path, others: &str) -> Result<Self> {
         // A folder that is there may be called anything.
         let Some(ending) = path.extension().filter(|_| !path.is_dir()) else { return Ok(Self::Folder) };
+        files::check_no_pattern(path)?;
         if let Some(format) = FileFormat::of(path) {
             return Ok(Self::File(format));
         }
@@ -188,7 +189,12 @@ impl SceneOutput {
 
 /// Writes all frames of `scene` as `.4dgs`.
 pub(in crate::command) fn write_clip(scene: &Scene, out: &Path) -> Result<String> {
-    let bytes = export::fourdgs::encode(scene)?;
+    let bytes = export::fourdgs::encode(scene).with_context(|| {
+        format!(
+            "{}: not written; a folder, named without an ending, holds the same frames as PLY",
+            out.display()
+        )
+    })?;
     files::write(out, &bytes)?;
     Ok(format!(
         "wrote {}: {}, {} bytes, {}\n",
@@ -215,6 +221,10 @@ mod tests {
         assert_eq!(of("a.spz").unwrap().default_up(), Up::Y);
         assert_eq!(of("a.sog").unwrap().default_up(), Up::MinusY);
         assert!(of("a.dgs").unwrap_err().to_string().contains("dgs encode"));
+        for name in ["seq_%04d.ply", "%d.spz"] {
+            assert!(of(name).unwrap_err().to_string().contains("name a folder"), "{name}");
+        }
+        assert!(of("50%.ply").is_ok() && of("my%20dog.ply").is_ok());
         let error = of("x.obj").unwrap_err().to_string();
         assert!(error.contains("x.obj") && error.contains(".compressed.ply"), "{error}");
     }

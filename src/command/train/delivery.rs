@@ -33,8 +33,37 @@ const CHECKPOINT_EVERY: usize = 20;
 /// Background of the pictures of a scene where nothing is said.
 const BACKGROUND: [f32; 3] = [0.0; 3];
 
-/// Refuses before the training what would end it afterwards.
-pub(super) fn check(args: &Train, dataset: &Dataset, options: &DeliveryOptions) -> Result<()> {
+/// The options that `config` names or that its file holds.
+pub(super) fn read(config: &str) -> Result<DeliveryOptions> {
+    DeliveryOptions::read(config).map_err(|error| {
+        let context = match error {
+            DeliveryError::File { .. } => {
+                "--delivery: reconstruction, iid, burst-cvar, mixed, or a JSON file is allowed".to_owned()
+            }
+            DeliveryError::Content { .. } => "--delivery".to_owned(),
+            // What is wrong with a value does not say where it stands.
+            _ => format!("--delivery {config}"),
+        };
+        anyhow::Error::from(error).context(context)
+    })
+}
+
+/// Refuses before the training what would end it afterwards; `is_there` says whether the scene is there
+/// already.
+pub(super) fn check(
+    args: &Train,
+    dataset: &Dataset,
+    options: &DeliveryOptions,
+    is_there: bool,
+) -> Result<()> {
+    if options.recorded.is_some() && !is_there {
+        let (input, out) = (&args.input, args.out.display());
+        bail!(
+            "recorded: names states of a stream, and {input} is not trained yet: train without --delivery, \
+             then dgs encode {out}/checkpoint.dgst -o ck.dgs, dgs stream ck.dgs --states FILE, and dgs train \
+             {input} -o {out} --resume --delivery CONFIG"
+        );
+    }
     options.recorded.as_deref().map(Recording::read).transpose().context("recorded")?;
     let found = dataset.train.photographs().len().min(args.references);
     let needed = if options.validation.candidates == 0 { 1 } else { options.validation.every };

@@ -145,7 +145,7 @@ pub(super) fn options(args: &Train) -> Result<train::TrainOptions> {
         Some(path) => {
             let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
             if !text.trim_start().starts_with('{') {
-                bail!("{}: an object, {{\"gaussians\": …}}, is needed", path.display());
+                bail!("{}: an object, {{\"max_gaussians\": …}}, is needed", path.display());
             }
             serde_json::from_str(&text).with_context(|| path.display().to_string())?
         }
@@ -215,8 +215,8 @@ pub(super) fn fit(
             None => (f64::from(report.step) / steps).max(least),
             Some(minutes) => begun + (1.0 - begun) * (seconds / (60.0 * minutes * (1.0 - begun).max(1e-9))),
         };
-        if let Some(what) = &report.rollback {
-            let note = format!("step {}: {what}; fell back, with half the rates", report.step);
+        if let Some((step, what)) = &report.rollback {
+            let note = format!("step {step}: {what}; fell back to step {}, with half the rates", report.step);
             if !quiet.0 {
                 bar.say(&format!("warning: {note}"));
             }

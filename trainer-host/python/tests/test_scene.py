@@ -2,6 +2,7 @@
 
 import copy
 import errno
+import importlib.metadata
 import pathlib
 import pickle
 from collections.abc import Callable
@@ -11,6 +12,10 @@ import numpy as np
 import pytest
 
 import dgs
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert dgs.__version__ == importlib.metadata.version("dgs")
 
 
 def arrays(count: int = 50, frames: int = 3) -> dict[str, Any]:

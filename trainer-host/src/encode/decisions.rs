@@ -36,8 +36,8 @@ impl Decisions {
         }
     }
 
-    /// These epochs and then those of `next`, for [`reencode`](super::reencode) on a scene of both: it decides
-    /// tables anew, and what both share is as here. Nothing for profile `paper` or for two profiles.
+    /// These epochs and then those of `next`, for [`reencode`](super::reencode) on a scene of both: it
+    /// decides tables anew, and what both share is as here. Nothing for profile `paper` or for two profiles.
     #[must_use]
     pub fn followed_by(self, next: Self) -> Option<Self> {
         let (Self::Dgs1(mut decisions), Self::Dgs1(next)) = (self, next) else { return None };

@@ -3,7 +3,7 @@
 /// What a step did.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepReport {
-    /// Steps taken, this one included.
+    /// Steps taken, this one included; after a rollback, those of the state that was fallen back to.
     pub step: u32,
     /// Index of the view in the training split.
     pub view: usize,
@@ -17,8 +17,8 @@ pub struct StepReport {
     pub gaussians: usize,
     /// Control nodes now.
     pub nodes: usize,
-    /// What made training fall back to an earlier state, if it did.
-    pub rollback: Option<String>,
+    /// Where training fell back to an earlier state: the step that led there, from 1, and what was wrong.
+    pub rollback: Option<(u32, String)>,
 }
 
 /// Parts of a step, for whoever measures them.

@@ -369,8 +369,9 @@ fn a_training_that_diverges_falls_back_and_then_gives_up_by_name() {
         reports.map(|reports| reports.into_iter().find_map(|report| report.rollback))
     };
     for _ in 0..3 {
-        let rollback = poisoned_until_noticed().unwrap().unwrap();
-        assert!(rollback.contains("not a number"), "{rollback}");
+        let (step, what) = poisoned_until_noticed().unwrap().unwrap();
+        assert!(what.contains("not a number"), "{what}");
+        assert!(step > 0, "the step that diverged, not the one that is fallen back to");
     }
     let error = poisoned_until_noticed().unwrap_err().to_string();
     assert!(error.contains("diverged at step"), "{error}");

@@ -200,18 +200,20 @@ impl<'a> Trainer<'a> {
         let mut rng = self.state.rng(self.options.seed);
         let view = self.next_view(progress);
         let loss = self.differentiate(view, progress, &mut rng, observe)?;
-        let mut rollback = self.state.divergence(loss);
-        if rollback.is_none() {
+        let step = self.state.step + 1;
+        let mut diverged = self.state.divergence(loss);
+        if diverged.is_none() {
             self.update(view, progress, observe);
             observe(Stage::Density);
             self.control_density(progress, &mut rng);
             self.state.step += 1;
             self.freeze_still(progress)?;
             self.average(progress);
-            rollback = self.keep_or_find_divergence();
+            diverged = self.keep_or_find_divergence();
         }
-        if let Some(what) = &rollback {
-            self.rollback(what)?;
+        let rollback = diverged.map(|what| (step, what));
+        if let Some((step, what)) = &rollback {
+            self.rollback(*step, what)?;
         }
         let state = &self.state;
         Ok(StepReport {
@@ -436,10 +438,10 @@ impl<'a> Trainer<'a> {
     }
 
     /// Falls back to the state before; from then on rates are half as large.
-    fn rollback(&mut self, what: &str) -> Result<(), TrainError> {
+    fn rollback(&mut self, step: u32, what: &str) -> Result<(), TrainError> {
         let rollbacks = self.state.rollbacks + 1;
         if rollbacks > MAX_ROLLBACKS {
-            let (step, what) = (self.state.step, what.to_owned());
+            let what = what.to_owned();
             self.state = self.fallback.clone();
             return Err(TrainError::Diverged { step, what, rollbacks: MAX_ROLLBACKS });
         }

@@ -52,7 +52,12 @@ impl FromStr for Locator {
         };
         let (found, rest) = text.split_once("://").unwrap_or(("", text));
         let scheme = Scheme::of(found);
-        let scheme = scheme.ok_or_else(|| illegal("scheme", found, "dgs, https, moq+https"))?;
+        let allowed = match found {
+            "http" => "dgs, https, moq+https: what dgs serve prints with http is for browsers",
+            "" if text.ends_with(".dgs") => "dgs, https, moq+https: a file is shown by dgs view",
+            _ => "dgs, https, moq+https",
+        };
+        let scheme = scheme.ok_or_else(|| illegal("scheme", found, allowed))?;
         let (rest, pin) = match rest.split_once('#').or_else(|| rest.split_once("?pin=")) {
             Some((rest, pin)) => {
                 let parsed = pin.parse().map_err(|_| illegal("pin", pin, "64 hexadecimal digits"))?;
@@ -133,6 +138,8 @@ mod tests {
     fn what_is_wrong_is_named() {
         for (text, named) in [
             ("http://host/fox", "scheme is \"http\", allowed dgs, https, moq+https"),
+            ("http://host/fox", "what dgs serve prints with http is for browsers"),
+            ("fox.dgs", "a file is shown by dgs view"),
             ("dgs://host:0/fox", "port"),
             ("dgs://host:70000", "port"),
             ("dgs://[::1]x", "port"),

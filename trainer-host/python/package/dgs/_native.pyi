@@ -40,11 +40,14 @@ __all__ = [
     "Player",
     "Scene",
     "Stream",
+    "__version__",
     "convert",
     "encode",
     "render",
     "render_backward",
 ]
+
+__version__: str
 
 class DamagedError(ValueError):
     """Bytes that are not what they should be: a damaged or truncated file, stream or packet."""

@@ -9,7 +9,7 @@ use std::io;
 
 use ::fourdgs::{
     GaussianSet, SceneExtras, WriteOptions,
-    quantization::{Bounds, Profile, SH_QUANT_HI, SH_QUANT_LO, Steps},
+    quantization::{Bounds, Profile, SH_QUANT_HI, SH_QUANT_LO, Steps, life_class, motion_step},
     records::Metadata,
     write_to_vec,
 };
@@ -19,6 +19,9 @@ use crate::scene::{Epoch, Scene, Up};
 
 /// The format's finest steps.
 const PROFILE: Profile = Profile::Fine;
+
+/// Scales below are written as this one, scene units.
+const LEAST_SCALE: f64 = 1e-30;
 
 /// How far from a straight line a centre may be, in units of the thinnest axis.
 const OFF_LINE: f32 = 0.1;
@@ -62,10 +65,18 @@ pub fn encode(scene: &Scene) -> io::Result<Vec<u8>> {
     write_to_vec(&set, duration, &options, &extras).map_err(io::Error::other)
 }
 
-/// Moves centres to where the format's steps leave them. The writer checks what is decoded against half a
-/// step, and where a centre lies in the middle of two steps the rounding of single precision goes beyond
-/// that.
+/// Moves everything to where the format's steps leave it. The writer checks what is decoded against half a
+/// step, and what lies in the middle of two steps the rounding of single precision carries beyond that.
 fn snap(set: &mut GaussianSet) {
+    let nearest = |value: f64, step: f64| (value / step).round_ties_even() * step;
+    // These do not depend on the size of Gaussians, and that of centres does on scales as they are snapped.
+    let Steps { scale_log, rgb, alpha, .. } = Steps::of(&Bounds::for_profile(PROFILE, 1.0));
+    for scale in &mut set.scales {
+        *scale = nearest(f64::from(*scale).max(LEAST_SCALE).ln(), scale_log).exp() as f32;
+    }
+    for (at, value) in set.colors.iter_mut().enumerate() {
+        *value = nearest(f64::from(*value), if at % 4 == 3 { alpha } else { rgb }).clamp(0.0, 1.0) as f32;
+    }
     // As the writer finds its step and where it counts from.
     let mut scales: Vec<f64> = set.scales.iter().map(|scale| f64::from(*scale)).collect();
     scales.sort_by(f64::total_cmp);
@@ -74,14 +85,20 @@ fn snap(set: &mut GaussianSet) {
     else {
         return;
     };
-    let step = Steps::of(&Bounds::for_profile(PROFILE, 0.5 * (below + above))).pos;
+    let Steps { pos, motion, sigma_log, .. } =
+        Steps::of(&Bounds::for_profile(PROFILE, 0.5 * (below + above)));
     for axis in 0..3 {
         let along = || set.positions.iter().skip(axis).step_by(3);
         let least = f64::from(along().copied().fold(f32::INFINITY, f32::min));
         for place in set.positions.iter_mut().skip(axis).step_by(3) {
-            let steps = ((f64::from(*place) - least) / step).round_ties_even();
-            *place = (least + steps * step) as f32;
+            *place = (least + nearest(f64::from(*place) - least, pos)) as f32;
         }
+    }
+    for (speeds, (from, to)) in set.motions.chunks_exact_mut(3).zip(set.win_lo.iter().zip(&set.win_hi)) {
+        // Of what never fades, the class is that of its window alone.
+        let lives = f64::from(*to) - f64::from(*from);
+        let step = motion_step(life_class(0, sigma_log, true, lives, 1.0), motion);
+        speeds.iter_mut().for_each(|speed| *speed = nearest(f64::from(*speed), step) as f32);
     }
 }
 
@@ -205,6 +222,30 @@ mod tests {
         let bytes = encode(&scene).unwrap();
         let again = import::fourdgs::parse(&bytes, 30.0, &Limits::default()).unwrap();
         assert_eq!(again.max_count(), 60_000);
+    }
+
+    /// Colours, opacities and log scales in the middle of two steps, and speeds there too.
+    #[test]
+    fn what_lies_between_two_steps_passes_the_writers_own_check() {
+        let steps = Steps::of(&Bounds::for_profile(PROFILE, 1.0));
+        let count = 250;
+        let mut attributes = epoch(count, 0).attributes().clone();
+        let between = |i: usize, step: f64| (i as f64 + 0.5) * step;
+        let scale = |i: usize| [between(i, steps.scale_log) as f32 - 4.0; 3];
+        let colour = |i: usize| [((between(i, steps.rgb) - 0.5) / 0.282_094_791_773_878_14) as f32; 3];
+        attributes.log_scales = Track::Constant((0..count).map(scale).collect());
+        attributes.sh0 = Track::Constant((0..count).map(colour).collect());
+        let place = |t: usize| move |i: usize| [i as f32 * 0.37 + (t * i) as f32 * 0.011, 0.0, t as f32];
+        attributes.positions = Track::PerFrame((0..8).flat_map(|t| (0..count).map(place(t))).collect());
+        let scene = Scene::new(vec![Epoch::new(8, attributes).unwrap()], 30.0).unwrap();
+        let again = import::fourdgs::parse(&encode(&scene).unwrap(), 30.0, &Limits::default()).unwrap();
+        assert_eq!(again.max_count(), count);
+
+        let kind = synth::SynthKind::Births;
+        let options = synth::SynthOptions { gaussians: 6000, frames: 20, kind, ..Default::default() };
+        let births = synth::make(&options, &Limits::default()).unwrap();
+        let again = import::fourdgs::parse(&encode(&births).unwrap(), 30.0, &Limits::default()).unwrap();
+        assert_eq!(again.frames(), 20);
     }
 
     #[test]

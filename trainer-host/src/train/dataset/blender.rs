@@ -50,6 +50,15 @@ pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Opt
         let (train, validation, test) = (of(&splits.train), of(&splits.validation), of(&splits.test));
         (Listed { folder: folder.to_owned(), train, validation, test }, Some(instants))
     };
+    if listed.train.is_empty() {
+        let name = if instants.is_none() { "transforms_train.json" } else { "transforms.json" };
+        return Err(DatasetError::Field {
+            path: folder.join(name),
+            field: "frames".to_owned(),
+            found: "empty".to_owned(),
+            allowed: "at least 1 to train on is needed",
+        });
+    }
     let photographs = listed.read(max_side)?;
     let dataset = Dataset {
         name: name_of(folder),

@@ -80,6 +80,14 @@ pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Opt
             counted: None,
         });
     }
+    if listed.train.is_empty() {
+        return Err(DatasetError::Field {
+            path: file("images"),
+            field: "number of images".to_owned(),
+            found: listed.test.len().to_string(),
+            allowed: "at least 2 are needed: every eighth, from the first on, is for testing",
+        });
+    }
     let photographs = listed.read(max_side)?;
     let points = points(&file("points3D"), format)?;
     let dataset = Dataset {

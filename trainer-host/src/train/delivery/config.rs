@@ -181,9 +181,10 @@ impl Default for LearningRates {
 pub struct Validation {
     /// Every so many references are for validation, at least 2.
     pub every: usize,
-    /// States, half after independent losses of 5 % and half after bursts of as much.
+    /// States, half after independent losses of 5 % and half after bursts of as much; 0 to 10,000.
     pub states: usize,
-    /// Candidates, evenly over the updates after the warm-up; with 0 the last scene is taken as it is.
+    /// Candidates, evenly over the updates after the warm-up, 0 to 1000; with 0 the last scene is taken as it
+    /// is.
     pub candidates: usize,
 }
 
@@ -201,13 +202,14 @@ pub struct DeliveryOptions {
     pub variant: Variant,
     /// Weights of the terms; a variant counts some of them.
     pub weights: Weights,
-    /// Worlds per update and view, at least 1.
+    /// Worlds per update and view, 1 to 10,000.
     pub worlds: usize,
-    /// Of those, complete ones in variant `mixed`; a quarter, as in the paper, if absent.
+    /// Of those, complete ones in variant `mixed`; a quarter, as in the paper, if absent; 0 to
+    /// 10,000.
     pub clean_worlds: Option<usize>,
-    /// Pictures per update, at least 1, each with worlds of its own.
+    /// Pictures per update, 1 to 1000, each with worlds of its own.
     pub views: usize,
-    /// Updates, at least 1.
+    /// Updates, 1 to 1,000,000.
     pub updates: usize,
     /// Share of the updates, at the start, in which only the complete state counts, 0..=1.
     pub warm_up: f64,
@@ -302,15 +304,19 @@ impl DeliveryOptions {
         let refuse = |field, found: &dyn std::fmt::Display, allowed| {
             Err(DeliveryError::Setting { field, found: found.to_string(), allowed })
         };
-        for (field, found, least) in [
-            ("worlds", self.worlds, 1),
-            ("views", self.views, 1),
-            ("updates", self.updates, 1),
-            ("encode_every", self.encode_every, 1),
-            ("validation.every", self.validation.every, 2),
+        let Validation { every, states, candidates } = self.validation;
+        for (field, found, range, allowed) in [
+            ("worlds", self.worlds, 1..=10_000, "1 to 10000"),
+            ("clean_worlds", self.clean_worlds.unwrap_or(0), 0..=10_000, "0 to 10000"),
+            ("views", self.views, 1..=1000, "1 to 1000"),
+            ("updates", self.updates, 1..=1_000_000, "1 to 1000000"),
+            ("encode_every", self.encode_every, 1..=usize::MAX, "1 or more"),
+            ("validation.every", every, 2..=usize::MAX, "2 or more"),
+            ("validation.states", states, 0..=10_000, "0 to 10000"),
+            ("validation.candidates", candidates, 0..=1000, "0 to 1000"),
         ] {
-            if found < least {
-                return refuse(field, &found, if least == 2 { "2 or more" } else { "1 or more" });
+            if !range.contains(&found) {
+                return refuse(field, &found, allowed);
             }
         }
         let (w, rates, c) = (&self.weights, &self.learning_rates, &self.channel);
@@ -381,7 +387,13 @@ mod tests {
         let path = folder.path().join("config.json");
         for (text, named) in [
             (r#"{"wrlds": 1}"#, "wrlds"),
-            (r#"{"worlds": 0}"#, "worlds is 0; 1 or more"),
+            (r#"{"worlds": 0}"#, "worlds is 0; 1 to 10000 is allowed"),
+            (r#"{"worlds": 100000000000}"#, "worlds is 100000000000; 1 to 10000 is allowed"),
+            (r#"{"clean_worlds": 10001}"#, "clean_worlds is 10001; 0 to 10000 is allowed"),
+            (r#"{"views": 9999999}"#, "views is 9999999; 1 to 1000 is allowed"),
+            (r#"{"updates": 1000001}"#, "updates is 1000001; 1 to 1000000 is allowed"),
+            (r#"{"validation": {"states": 100000000000}}"#, "validation.states is 100000000000; 0 to 10000"),
+            (r#"{"validation": {"candidates": 1001}}"#, "validation.candidates is 1001; 0 to 1000"),
             (r#"{"warm_up": 1.5}"#, "warm_up is 1.5; 0 to 1"),
             (r#"{"weights": {"cvar": -1}}"#, "weights.cvar is -1; 0 to 1000"),
             (r#"{"channel": {"iid": [0.5, 0.1]}}"#, "channel.iid is [0.5, 0.1]"),

@@ -12,7 +12,7 @@ use super::{
     error::DeliveryError,
     evaluate::evaluate_coded,
     gradient::Gradient,
-    masks::{Masks, Purpose, Sampler, random, share_arrived},
+    masks::{Masks, Purpose, Sampler, hash, random, share_arrived},
     monotone::PREFIXES,
     objective::{self, Terms, Worlds},
     parameters::{COMPONENTS, Parameters},
@@ -106,13 +106,13 @@ pub fn resume(
         sampler,
         recorded: recorded.unwrap_or_default(),
     };
-    let first_worlds = run.worlds_of(0..options.updates.min(10));
-    let registration = Preregistration::of(options, &validation_masks, &first_worlds);
+    let first_worlds = run.worlds_hash(0..options.updates.min(10));
+    let registration = Preregistration::of(options, &validation_masks, first_worlds);
     if let Some(path) = &options.registration {
         registration.write(path)?;
     }
 
-    let worlds = hex(run.worlds_of(0..options.updates).hash());
+    let worlds = hex(run.worlds_hash(0..options.updates));
     let made_from = Origin::of(&registration, &coded.encoded.stream, references, &worlds);
     let coding = Coding::new(scene, &coded, options);
     let mut at = match begun {
@@ -333,10 +333,12 @@ impl Training<'_> {
         self.sampler.worlds(variant, &options.channel, (worlds, options.clean()), recorded, rng)
     }
 
-    fn worlds_of(&self, updates: std::ops::Range<usize>) -> Masks {
+    /// Hash of the worlds of `updates`: those of one picture are drawn at a time, as there are too many for
+    /// memory.
+    fn worlds_hash(&self, updates: std::ops::Range<usize>) -> u64 {
         let views = 0..self.options.views;
         let each = updates.flat_map(|update| views.clone().map(move |view| (update, view)));
-        Masks { states: each.flat_map(|(update, view)| self.worlds(update, view)).collect() }
+        hash(each.flat_map(|(update, view)| self.worlds(update, view)))
     }
 
     /// The `view`-th picture of update `update`: all pictures come once, in random order, before any comes

@@ -27,9 +27,7 @@ pub struct Masks {
 impl Masks {
     /// FNV-1a, 64 bits, over all states in order, each preceded by its length as little-endian u64.
     pub fn hash(&self) -> u64 {
-        let add =
-            |digest: Digest, state: &Vec<u8>| digest.bytes(&(state.len() as u64).to_le_bytes()).bytes(state);
-        self.states.iter().fold(Digest::new(), add).get()
+        hash(self.states.iter())
     }
 
     /// `count` states of `stream` after `loss` by packets or by groups, from `seed`.
@@ -51,6 +49,12 @@ impl Masks {
         };
         Ok(Self { states: (0..count).map(draw).collect() })
     }
+}
+
+/// [`Masks::hash`] of `states`, of which no two need be in memory at once.
+pub(super) fn hash(states: impl Iterator<Item: AsRef<[u8]>>) -> u64 {
+    let add = |digest: Digest, state: &[u8]| digest.bytes(&(state.len() as u64).to_le_bytes()).bytes(state);
+    states.fold(Digest::new(), |digest, state| add(digest, state.as_ref())).get()
 }
 
 /// What random numbers are for. Each purpose has its own seed, so draws for one do not shift those of

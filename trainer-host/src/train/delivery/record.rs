@@ -28,14 +28,14 @@ pub struct Preregistration {
 }
 
 impl Preregistration {
-    /// That of `options`, with the states of validation and of the first updates.
-    pub(super) fn of(options: &DeliveryOptions, validation: &Masks, first_worlds: &Masks) -> Self {
+    /// That of `options`, with the states of validation and the hash of those of the first updates.
+    pub(super) fn of(options: &DeliveryOptions, validation: &Masks, first_worlds: u64) -> Self {
         Self {
             options: options.clone(),
             config_hash: hex(options.hash()),
             weights: options.variant.weights(&options.weights),
             validation_masks: hex(validation.hash()),
-            first_worlds: hex(first_worlds.hash()),
+            first_worlds: hex(first_worlds),
             selection_rule: RULE.to_owned(),
         }
     }

@@ -104,7 +104,8 @@ impl RecordedStates {
         if found != own {
             return Err(content(format!(
                 "stream is {found:?}; this scene with these options of the encoder is stream {own:?}: states \
-                 of that one are needed (dgs stream --states)"
+                 of that one are needed, from dgs encode SCENE -o ck.dgs with the same options (of what was \
+                 trained, SCENE is its checkpoint.dgst) and dgs stream ck.dgs --states FILE"
             )));
         }
         let (blocks, frames) = (PacketMap::of(stream)?.initial().len(), manifest.head().frames);

@@ -33,8 +33,8 @@ pub(super) struct View {
 
 impl Reference {
     /// A photograph as a picture of the frame of `scene` at its time, `by` times smaller (1 to its shorter
-    /// side) and over `background`. Where a mask leaves pixels out there is what `scene` itself shows: nothing
-    /// else is known of them, and they stay as they are.
+    /// side) and over `background`. Where a mask leaves pixels out there is what `scene` itself shows:
+    /// nothing else is known of them, and they stay as they are.
     ///
     /// # Errors
     /// A picture that cannot be reduced so far, or what the renderer refuses.
