@@ -22,7 +22,8 @@ const STAND_INS: &str = "(player.session.levels()[0] / player.session.levels().r
 #[test]
 fn packets_come_live_over_a_lossy_link() {
     let Some(mut page) = Page::blank() else { return };
-    let live = served::Live::start(&["--impair", "loss=5%,delay=10ms"]);
+    // As below, the page is held up at its first picture; a server that thinks it gone sees it come again.
+    let live = served::Live::start(&["--impair", "loss=5%,delay=10ms", "--idle", "120"]);
     page.browser.go(&format!("{}?transport=live&pixel-ratio=0.25", live.page)).unwrap();
     let playing = "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0";
     page.browser.wait(PAGE_TIMEOUT_S, playing).unwrap();
