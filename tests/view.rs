@@ -408,7 +408,8 @@ fn files_are_chosen_refused_and_removed() {
     page.browser.press("?").unwrap();
     let list = "(() => { const dialog = player.shadowRoot.querySelector('dialog');\
         const columns = getComputedStyle(dialog.querySelector('dl')).gridTemplateColumns.split(' ').length;\
-        return [dialog.open, dialog.scrollTop, dialog.scrollHeight > dialog.clientHeight, columns].join(); })()";
+        const isLonger = dialog.scrollHeight > dialog.clientHeight;\
+        return [dialog.open, dialog.scrollTop, isLonger, columns].join(); })()";
     assert_eq!(page.run(list), "true,0,true,1");
     page.browser.press("?").unwrap();
     page.browser.press("b").unwrap();

@@ -221,7 +221,8 @@ fn a_file_that_is_no_stream_ends_nothing() {
     // A WebSocket that closes is given nothing more.
     let closed = "(async () => { const { openWebSocket } = await import('./links.js');\
         const link = await openWebSocket(new AbortController().signal); link.close();\
-        await link.send(new Uint8Array(1)); return link.write(new Uint8Array(1)).catch((e) => e.message); })()";
+        await link.send(new Uint8Array(1));\
+        return link.write(new Uint8Array(1)).catch((error) => error.message); })()";
     assert_eq!(page.run(closed), "The WebSocket is closed");
     page.close();
     live.stop();
