@@ -8,12 +8,12 @@
 mod browser;
 #[path = "view/live.rs"]
 mod live;
+#[path = "view/requests.rs"]
+mod requests;
 #[path = "view/served.rs"]
 mod served;
 #[path = "view/sources.rs"]
 mod sources;
-#[path = "view/wishes.rs"]
-mod wishes;
 
 use std::sync::Mutex;
 
@@ -29,6 +29,8 @@ const SIDE: u32 = 256;
 const MIN_DB: f64 = 50.0;
 /// Longest wait for a page, seconds: a software adapter on a busy machine takes many for a frame.
 const PAGE_TIMEOUT_S: u32 = 300;
+/// What a player says.
+const MESSAGE: &str = "player.shadowRoot.querySelector('.message').textContent";
 /// One browser at a time: each uses all of this machine.
 static TURN: Mutex<()> = Mutex::new(());
 
@@ -309,7 +311,7 @@ fn a_worker_decodes_and_where_there_is_none_the_page() {
     let db = page.agreement(&mut player, [0.0; 3]);
     assert!(db >= MIN_DB, "{db} dB");
     for (query, broken, said) in [
-        ("&worker=off", "0", "page: as was wished"),
+        ("&worker=off", "0", "page: as requested"),
         ("", "globalThis.Worker = undefined", "page: no workers here"),
         ("", "globalThis.Worker = class { constructor() { throw new Error('refused') } }", "page: refused"),
     ] {
@@ -367,9 +369,11 @@ fn files_are_chosen_refused_and_removed() {
         .wait(PAGE_TIMEOUT_S, "!!(globalThis.player = document.querySelector('dgs-player'))?.engine?.screen")
         .unwrap();
     page.browser.choose_file("#pick", &bad).unwrap();
-    page.browser
-        .wait(PAGE_TIMEOUT_S, "/file.magic/.test(player.shadowRoot.querySelector('.message').textContent)")
-        .unwrap();
+    let said = format!("{MESSAGE} === 'bad.dgs is no .dgs stream: `dgs encode` makes one'");
+    page.browser.wait(PAGE_TIMEOUT_S, &said).unwrap();
+    // Once that was read, the page asks again.
+    let asks = format!("{MESSAGE} === '' && !document.getElementById('welcome').hidden");
+    page.browser.wait(PAGE_TIMEOUT_S, &asks).unwrap();
     page.browser.choose_file("#pick", &good).unwrap();
     page.browser.wait(PAGE_TIMEOUT_S, "player.engine.frames > 0 && player.error === null").unwrap();
     // On a telephone nothing hangs over the edge, and every control has a name.
@@ -391,6 +395,26 @@ fn files_are_chosen_refused_and_removed() {
     page.browser.wait(PAGE_TIMEOUT_S, &format!("{panel}.length > 5")).unwrap();
     let over = format!("{panel}.filter((r) => r.right > 390 || r.left < 0).length");
     assert_eq!(page.number(&over), 0.0);
+    // The panel covers the lower half of the picture, and not the bar.
+    let edges = "(() => { const of = (part) => player.shadowRoot.querySelector(part).getBoundingClientRect();\
+        const [panel, bar, all] = [of('.network'), of('.bar'), player.getBoundingClientRect()];\
+        return [panel.top - (all.top + all.bottom) / 2, bar.top - panel.bottom, panel.height]; })()";
+    let is_clear = format!("{edges}[2] > 100 && {edges}.every((v) => v >= -0.5)");
+    page.browser.wait(PAGE_TIMEOUT_S, &is_clear).unwrap();
+    page.run("player.toggleNetwork(), 0");
+    // Keys are listed in one column, from the first.
+    page.browser.resize(390, 400).unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "innerHeight === 400").unwrap();
+    page.browser.press("?").unwrap();
+    let list = "(() => { const dialog = player.shadowRoot.querySelector('dialog');\
+        const columns = getComputedStyle(dialog.querySelector('dl')).gridTemplateColumns.split(' ').length;\
+        const isLonger = dialog.scrollHeight > dialog.clientHeight;\
+        return [dialog.open, dialog.scrollTop, isLonger, columns].join(); })()";
+    assert_eq!(page.run(list), "true,0,true,1");
+    page.browser.press("?").unwrap();
+    page.browser.press("b").unwrap();
+    page.browser.press("b").unwrap();
+    assert_eq!(page.run("player.background"), "#bfbfbf");
     let nameless = "[...player.shadowRoot.querySelectorAll('button, input, select, canvas.picture')].filter(\
         (c) =>\
         !c.ariaLabel && !c.closest('label') && !c.textContent.trim()).length";

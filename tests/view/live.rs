@@ -4,7 +4,7 @@
 use serde_json::Value;
 
 use super::{
-    MIN_DB, PAGE_TIMEOUT_S, Page, SIDE,
+    MESSAGE, MIN_DB, PAGE_TIMEOUT_S, Page, SIDE,
     served::{self, SMALL, stream},
 };
 
@@ -22,7 +22,8 @@ const STAND_INS: &str = "(player.session.levels()[0] / player.session.levels().r
 #[test]
 fn packets_come_live_over_a_lossy_link() {
     let Some(mut page) = Page::blank() else { return };
-    let live = served::Live::start(&["--impair", "loss=5%,delay=10ms"]);
+    // As below, the page is held up at its first picture; a server that thinks it gone sees it come again.
+    let live = served::Live::start(&["--impair", "loss=5%,delay=10ms", "--idle", "120"]);
     page.browser.go(&format!("{}?transport=live&pixel-ratio=0.25", live.page)).unwrap();
     let playing = "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0";
     page.browser.wait(PAGE_TIMEOUT_S, playing).unwrap();
@@ -77,7 +78,7 @@ fn every_transport_brings_the_same_picture() {
     page.browser.wait(PAGE_TIMEOUT_S, "player.session.packets()[1] > 10").unwrap();
     assert_eq!(page.run("sessionStorage.getItem('dgs-transport')"), "streams");
     page.run("sessionStorage.clear(), 0");
-    // Without a wish the best that works plays, and a page remembers it.
+    // Unless one is requested the best that works plays, and a page remembers it.
     page.browser.go("about:blank").unwrap();
     page.browser.before_pages("delete globalThis.WebTransport").unwrap();
     page.play(&format!("{}?pixel-ratio=1", live.page), SIDE);
@@ -112,8 +113,10 @@ fn a_page_changes_the_link_and_the_scheduler_of_its_session() {
         assert_eq!(said, format!("emulated {place}"), "{flags:?}, {transport}");
         page.browser.wait(PAGE_TIMEOUT_S, &format!("{STAND_INS} > 0")).unwrap();
         assert!(page.number("player.session.estimatedQuality") < 0.99);
+        let buffered = page.number("player.buffered");
+        assert!(buffered > 0.0 && buffered < 0.9, "{flags:?}, {transport}: {buffered}");
         page.run("player.impair({}).then(() => 0)");
-        page.browser.wait(PAGE_TIMEOUT_S, &is_whole).unwrap();
+        page.browser.wait(PAGE_TIMEOUT_S, &format!("{is_whole} && player.buffered > 0.9")).unwrap();
         page.browser.go("about:blank").unwrap();
         let report = live.stop();
         assert!(report.contains("1 viewers;") && report.contains("(0 refused)"), "{report}");
@@ -137,4 +140,90 @@ fn the_page_plays_what_is_still_being_written() {
     page.close();
     let report = live.stop();
     assert!(report.contains("1 viewers;"), "{report}");
+}
+
+/// A server that was restarted has another certificate, and knows nothing of the page.
+#[test]
+fn a_server_that_comes_back_is_found_again() {
+    let Some(mut page) = Page::blank() else { return };
+    page.browser
+        .before_pages(
+            "globalThis.fetches = 0; { const real = fetch;\
+             globalThis.fetch = (...given) => ((fetches += 1), real(...given)); }",
+        )
+        .unwrap();
+    let gone = format!("{MESSAGE} === 'The server is gone; trying again'");
+    let mut live = served::Live::start(&[]);
+    page.play(&format!("{}?transport=live&pixel-ratio=0.25&paused", live.page), SIDE / 4);
+    page.run("player.currentTime = 0.4, player.session.turn(40, 8, 256), 0");
+    page.run("globalThis.old = player.session, globalThis.view = String(player.view), 0");
+    let pin = page.run("(async () => (await fetch('certificate.sha256')).text())()");
+    let address = live.address();
+    live.stop();
+    page.browser.wait(PAGE_TIMEOUT_S, &gone).unwrap();
+    // It is tried more than once, and what is there stays.
+    page.run("fetches = 0, 0");
+    page.browser.wait(PAGE_TIMEOUT_S, "fetches >= 2").unwrap();
+    assert_eq!(page.run("player.session === old && player.error === null"), true);
+    live = served::Live::at(&address);
+    page.browser.wait(PAGE_TIMEOUT_S, &format!("player.session !== old && {MESSAGE} === ''")).unwrap();
+    assert_ne!(page.run("(async () => (await fetch('certificate.sha256')).text())()"), pin);
+    assert_eq!(
+        page.run("[player.currentTime, player.paused, player.dataset.transport].join()"),
+        "0.4,true,live"
+    );
+    assert_eq!(page.run("view === String(player.view)"), true);
+    page.run("player.play(), 0");
+    page.browser.wait(PAGE_TIMEOUT_S, &format!("{STAND_INS} === 0")).unwrap();
+    // Whoever opens something else, or removes the player, does not wait for it any more.
+    page.run(
+        "(async () => globalThis.file = await (await fetch('streams/small.dgs')).blob())().then(() => 0)",
+    );
+    for end in ["player.open(file).then(() => 0)", "player.remove(), 0"] {
+        live.stop();
+        page.browser.wait(PAGE_TIMEOUT_S, &gone).unwrap();
+        page.run(end);
+        page.run("fetches = 0, 0");
+        // The third pause has two seconds.
+        std::thread::sleep(std::time::Duration::from_secs(4));
+        assert_eq!(page.number("fetches"), 0.0, "{end}");
+        live = served::Live::at(&address);
+        page.play(&format!("{}?transport=live&pixel-ratio=0.25&paused", live.page), SIDE / 4);
+    }
+    live.stop();
+    // What a browser says of servers that are not there.
+    page.browser.complaints.retain(|complaint| !complaint.contains("net::ERR_"));
+    page.close();
+}
+
+/// What is played goes on when somebody drops a scan or a picture on it.
+#[test]
+fn a_file_that_is_no_stream_ends_nothing() {
+    let Some(mut page) = Page::blank() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (good, bad) = (folder.path().join("good.dgs"), folder.path().join("scan.ply"));
+    std::fs::write(&good, stream(SMALL).to_bytes().unwrap()).unwrap();
+    std::fs::write(&bad, b"ply\nformat binary_little_endian 1.0\n").unwrap();
+    let live = served::Live::start(&["--idle", "120"]);
+    page.play(&format!("{}?transport=websocket&pixel-ratio=0.25", live.page), SIDE / 4);
+    page.run("globalThis.old = player.session, 0");
+    page.browser.choose_file("#pick", &bad).unwrap();
+    let said = format!("{MESSAGE} === 'scan.ply is no .dgs stream: `dgs encode` makes one'");
+    page.browser.wait(PAGE_TIMEOUT_S, &said).unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, &format!("{MESSAGE} === ''")).unwrap();
+    assert_eq!(page.run("player.session === old && player.session.server !== null && !player.paused"), true);
+    // Bytes have no name.
+    let unnamed = "player.open(new Uint8Array([80, 75, 3, 4])).then(() => player.error.message)";
+    assert_eq!(page.run(unnamed), "This is no .dgs stream: `dgs encode` makes one");
+    page.browser.choose_file("#pick", &good).unwrap();
+    page.browser.wait(PAGE_TIMEOUT_S, "player.session !== old && player.error === null").unwrap();
+    assert_eq!(page.run(MESSAGE), "");
+    // A WebSocket that closes is given nothing more.
+    let closed = "(async () => { const { openWebSocket } = await import('./links.js');\
+        const link = await openWebSocket(new AbortController().signal); link.close();\
+        await link.send(new Uint8Array(1));\
+        return link.write(new Uint8Array(1)).catch((error) => error.message); })()";
+    assert_eq!(page.run(closed), "The WebSocket is closed");
+    page.close();
+    live.stop();
 }

@@ -122,20 +122,30 @@ pub fn encoded(scene: &str, flags: &[&str]) -> Vec<u8> {
 impl Live {
     /// With `flags` besides.
     pub fn start(flags: &[&str]) -> Self {
-        Self::serving("small.dgs", flags, &[])
+        Self::serving("small.dgs", "127.0.0.1:0", flags, &[])
+    }
+
+    /// At the `address` of one that was stopped.
+    pub fn at(address: &str) -> Self {
+        Self::serving("small.dgs", address, &[], &[])
+    }
+
+    /// What it listens on.
+    pub fn address(&self) -> String {
+        self.page.trim_start_matches("http://").trim_end_matches('/').to_owned()
     }
 
     /// Of a stream that is still being written: `bytes` so far.
     pub fn growing(bytes: &[u8]) -> Self {
-        Self::serving("-", &[], bytes)
+        Self::serving("-", "127.0.0.1:0", &[], bytes)
     }
 
-    fn serving(input: &str, flags: &[&str], written: &[u8]) -> Self {
+    fn serving(input: &str, listen: &str, flags: &[&str], written: &[u8]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("small.dgs"), stream(SMALL).to_bytes().unwrap()).unwrap();
         let mut server = Command::new(env!("CARGO_BIN_EXE_dgs"))
             .current_dir(folder.path())
-            .args(["serve", input, "--listen", "127.0.0.1:0"])
+            .args(["serve", input, "--listen", listen])
             .args(flags)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())

@@ -70,7 +70,7 @@ export class Engine extends EventTarget {
   readonly frames: number;
   open(): Promise<void>;
   request(): void;
-  /** Draws what is wished as soon as it is decoded. */
+  /** Draws what is requested as soon as it is decoded. */
   drawNow(): Promise<void>;
   redraw(): void;
   close(): void;
@@ -83,6 +83,12 @@ export class Engine extends EventTarget {
 export class DgsPlayer extends HTMLElement {
   static wasmUrl: string | URL;
   src: string | null;
+  /** The attribute: whether a stream plays as soon as it begins, unless less motion is preferred. */
+  autoplay: boolean;
+  /** The attribute: whether there is a bar. */
+  controls: boolean;
+  /** The attribute: when streams begin, seconds. */
+  time: number;
   currentTime: number;
   /** Seconds of the clip per second, -4 to 4. This and what follows hold for what is played next, too. */
   playbackRate: number;
@@ -96,13 +102,15 @@ export class DgsPlayer extends HTMLElement {
   nextOverlay(): void;
   /** `#rrggbb`. */
   background: string;
+  /** The next of a few backgrounds, from black to white. */
+  nextBackground(): void;
   view: View | null;
   readonly duration: number;
   /** When the first picture was drawn, milliseconds since the page began. */
   readonly firstFrameMs: number | null;
   readonly paused: boolean;
   readonly ended: boolean;
-  /** Share of the stream that is there, 0 to 1. */
+  /** Share of the stream that is there, 0 to 1: of a file's bytes, or of the packets of a server's manifest. */
   readonly buffered: number;
   readonly error: Error | null;
   readonly session: Session | null;
@@ -112,10 +120,15 @@ export class DgsPlayer extends HTMLElement {
   toggle(): void;
   step(frames: number): void;
   home(): void;
+  /** Plays a file in place of what is played, which goes on where that is none: a sentence says so for a while. */
   open(file: Blob | Uint8Array): Promise<void>;
   /** Plays a session that its maker goes on feeding. */
   receive(session: Session): Promise<void>;
-  /** A stream of `streams.json` of `dgs serve`; `transport` allows one alone. */
+  /**
+   * A stream of `streams.json` of `dgs serve`; `transport` allows one alone. Once it has begun, a server that
+   * goes away is tried again, after pauses of half a second to ten, until something else is played or the element
+   * is removed.
+   */
   playServed(stream: ServedStream, transport?: "live" | "streams" | "websocket" | "file" | null): Promise<void>;
   /** Sets the network; a server that grants it changes its own link and scheduler for this session. */
   impair(conditions: Conditions): Promise<void>;

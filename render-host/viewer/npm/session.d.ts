@@ -34,7 +34,7 @@ export class Session extends Controls {
   readonly decoding: string;
   /** What of the file, as far as it is there, could not be used; empty for a whole one. */
   readonly damage: string;
-  /** Share of the file that is there. */
+  /** Share of the file that is there; of what a server sends, the share of its packets, as last answered. */
   readonly loaded: number;
   /** Highest level shown, 0 to 3. */
   cap: number;
@@ -42,7 +42,7 @@ export class Session extends Controls {
   overlay: Overlay;
   /** Whether packets are on their way through the emulated network. */
   readonly busy: boolean;
-  /** Whether the screen has the picture of what is wished. */
+  /** Whether the screen has the picture of what is requested. */
   readonly settled: boolean;
   /** Packets that wait for the decoder. */
   readonly waiting: number;
@@ -69,8 +69,8 @@ export class Session extends Controls {
   /** An estimate of how good the frame is, whatever the cap, from what of it has come: 0 to 1, as last answered. */
   readonly estimatedQuality: number;
   /**
-   * Asks whoever sends for other conditions: resolves with what is granted, or with null where a later wish took its
-   * place. Null where nobody does.
+   * Asks whoever sends for other conditions: resolves with what is granted, or with null where a later request
+   * took its place. Null where nobody does.
    */
   server: ((conditions: Conditions) => Promise<Granted | null>) | null;
   /** Puts an emulated network before the decoder. */

@@ -5,6 +5,10 @@ import { OVERLAYS } from "./session.js";
 import { STYLE } from "./style.js";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
+// How long a sentence that goes away is there, milliseconds.
+export const PASSING_MS = 6000;
+/** Backgrounds that a key goes through. */
+export const BACKGROUNDS = ["#000000", "#404040", "#bfbfbf", "#ffffff"];
 const QUALITIES = ["base", "level 1", "level 2", "all levels"];
 const TEMPLATE = `
 <style>${STYLE}</style>
@@ -19,7 +23,7 @@ const TEMPLATE = `
   <select class="speed" aria-label="Speed" title="Speed"></select>
   <button class="loop" aria-label="Loop" title="Loop (L)" aria-pressed="true">↻</button>
   <select class="quality" aria-label="Highest level shown" title="Highest level shown (1 to 4)"></select>
-  <input class="background wide" type="color" value="#000000" aria-label="Background" title="Background">
+  <input class="background wide" type="color" value="#000000" aria-label="Background" title="Background (B)">
   <button class="paint" aria-label="Paint blocks" title="Paint blocks: none (O)" aria-pressed="false">◩</button>
   <button class="net" aria-label="Network" title="Network (N)" aria-pressed="false">⇅</button>
   <button class="whole" aria-label="Full screen" title="Full screen (F)"><svg width="14" height="14" viewBox="0 0 14 14" fill="none" stroke="currentColor" stroke-width="2" aria-hidden="true"><path d="M1 5V1h4M9 1h4v4M13 9v4H9M5 13H1V9"/></svg></button>
@@ -46,6 +50,46 @@ export function build(root) {
   options(".quality", [0, 1, 2, 3], QUALITIES, 3);
   const rows = KEYS.map(([key, does]) => `<dt><kbd>${key}</kbd></dt><dd>${does}</dd>`);
   root.querySelector("dialog dl").innerHTML = rows.join("");
+  // The network panel keeps clear of the bar, however many rows that has.
+  const [bar, network] = [root.querySelector(".bar"), root.querySelector(".network")];
+  const keepClear = () => network.style.setProperty("--bar", `${bar.offsetHeight}px`);
+  new ResizeObserver(keepClear).observe(bar);
+}
+
+/** Lets the controls change `player`. */
+export function bindControls(root, player) {
+  const on = (part, event, act) => root.querySelector(part).addEventListener(event, act);
+  on(".play", "click", () => player.toggle());
+  on(".time", "input", ({ target }) => (player.currentTime = Number(target.value)));
+  on(".speed", "change", ({ target }) => (player.playbackRate = Number(target.value)));
+  on(".quality", "change", ({ target }) => (player.quality = Number(target.value)));
+  on(".loop", "click", () => (player.loop = !player.loop));
+  on(".background", "input", ({ target }) => (player.background = target.value));
+  on(".paint", "click", () => player.nextOverlay());
+  on(".net", "click", () => player.toggleNetwork());
+  on(".whole", "click", () => player.toggleFullscreen());
+  on(".help", "click", () => player.showHelp());
+  const pressed = ({ target }) => root.querySelector(".net").setAttribute("aria-pressed", !target.hidden);
+  on(".network", "toggle", pressed);
+}
+
+/** What is said on the picture: a sentence that stays, and over it one that goes away. */
+export class Message {
+  #part;
+  #lasting = "";
+  #timer = 0;
+
+  constructor(part) {
+    this.#part = part;
+  }
+
+  /** Says `text`, empty for nothing, until something else is said; if it `passes`, for a while over what was said. */
+  say(text, passes = false) {
+    clearTimeout(this.#timer);
+    this.#part.textContent = text;
+    if (passes) this.#timer = setTimeout(() => this.say(this.#lasting), PASSING_MS);
+    else this.#lasting = text;
+  }
 }
 
 /** Shows where the clock of `player` is. */

@@ -84,12 +84,12 @@ class Actions {
   }
 
   /** The Gaussians of a frame, where they are others than before; `buffer` is one to put them in. */
-  show({ frame, cap, overlay, now, anew, wished, buffer }) {
+  show({ frame, cap, overlay, now, anew, hasScreen, buffer }) {
     this.#buffer = buffer ?? this.#buffer;
     this.#decoder.goTo(frame);
     this.#decoder.choose(cap, overlay);
     const busy = this.#decoder.deliver(now);
-    const packed = wished ? this.#decoder.pack(anew) : undefined;
+    const packed = hasScreen ? this.#decoder.pack(anew) : undefined;
     return { picture: packed && this.#copied(packed), state: this.#state(busy) };
   }
 

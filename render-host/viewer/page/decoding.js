@@ -30,7 +30,7 @@ export class Decoding {
 
   /** One in a worker, unless there can be none or `worker` is false. */
   static async open(worker = true) {
-    if (!worker) return onPage("as was wished");
+    if (!worker) return onPage("as requested");
     const ready = spare ?? inWorker();
     spare = null;
     try {

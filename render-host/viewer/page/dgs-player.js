@@ -1,27 +1,32 @@
 // The element <dgs-player> plays a stream: like <video>, with a camera and a network to pull apart.
 
-import { build, showState, showTime } from "./bar.js";
+import { Attributes } from "./attributes.js";
+import { BACKGROUNDS, Message, bindControls, build, showState, showTime } from "./bar.js";
 import { prepare } from "./decoding.js";
 import { Engine } from "./engine.js";
 import { load } from "./load.js";
 import { NetworkPanel } from "./network.js";
 import { bindIdle, bindKeys, bindPointers } from "./input.js";
-import { climb, fileRung, rungsOf } from "./ladder.js";
-import { OVERLAYS, Session, checkedOverlay } from "./session.js";
+import { fileRung, follow, rungsOf } from "./ladder.js";
+import { OVERLAYS, checkedOverlay } from "./session.js";
+import { openFile } from "./source.js";
 
-export class DgsPlayer extends HTMLElement {
+export class DgsPlayer extends Attributes {
   static observedAttributes = ["src", "time", "loop", "background", "quality", "pixel-ratio", "up"];
 
-  #root = this.attachShadow({ mode: "open" });
+  #root = this.attachShadow({ mode: "open", delegatesFocus: true });
   #engine = null;
   #panel;
+  #message;
+  // Ends what was begun last.
   #load = null;
-  #loaded = 0;
+  // Of files that are looked at, the last.
+  #looked = null;
   #damage = "";
   #error = null;
-  // What is wished of every stream, whether or not one has begun: as a session calls it.
-  #wishes = { looping: true, rate: 1, cap: 3, overlay: OVERLAYS[0] };
-  // What is wished of the next stream alone: whether it plays, and from when; null where nobody has said.
+  // What is requested of every stream, whether or not one has begun: as a session calls it.
+  #requested = { looping: true, rate: 1, cap: 3, overlay: OVERLAYS[0] };
+  // What is requested of the next stream alone: whether it plays, and from when; null where nobody has said.
   #next = { playing: null, time: null };
   #view = null;
   #hopeless = false;
@@ -35,6 +40,7 @@ export class DgsPlayer extends HTMLElement {
   constructor() {
     super();
     build(this.#root);
+    this.#message = new Message(this.#part(".message"));
     this.#panel = new NetworkPanel(this.#part(".network"), () => this.#engine);
     this.#bind();
   }
@@ -87,27 +93,32 @@ export class DgsPlayer extends HTMLElement {
     else this.#fail(new RangeError(`up is "${up}"; y, minus-z and so on are allowed`));
   }
 
-  /** Plays a file, a Blob or bytes in place of what is played. */
+  /** Plays a file, a Blob or bytes in place of what is played, once they are known to be a stream. */
   async open(file) {
-    const signal = this.#loads();
+    const [load, looked] = [this.#load, {}];
+    this.#looked = looked;
+    const isLast = () => this.#looked === looked && this.#load === load;
     try {
-      // What somebody else holds is not given away.
-      const bytes = file instanceof Uint8Array ? file.slice() : new Uint8Array(await file.arrayBuffer());
-      await this.#began(await Session.open(bytes, { worker: this.#worker }), () => {}, signal);
+      const session = await openFile(file, { worker: this.#worker });
+      if (isLast()) await this.#play(session);
+      else session.free();
     } catch (error) {
-      if (!signal.aborted) this.#fail(error);
+      // What is played goes on, and the sentence goes.
+      if (isLast()) this.#fail(error, true);
     }
   }
 
   // Ends what is loading for something else.
   #loads() {
-    // What was wished before anything was loaded was wished of this.
-    if (this.#load) this.#next = { playing: null, time: null };
     this.#load?.abort();
     this.#load = new AbortController();
-    if (this.#worker) prepare();
     this.#emit("loadstart");
     return this.#load.signal;
+  }
+
+  // What was requested before anything was loaded was requested of what is loaded first.
+  #forget() {
+    if (this.#load) this.#next = { playing: null, time: null };
   }
 
   // Whether to decode in a worker.
@@ -117,6 +128,11 @@ export class DgsPlayer extends HTMLElement {
 
   /** Plays a session that its maker goes on feeding: `await Session.receive(manifest)`, then `push(packet)`. */
   async receive(session) {
+    this.#forget();
+    await this.#play(session);
+  }
+
+  async #play(session) {
     const signal = this.#loads();
     try {
       await this.#began(session, () => {}, signal);
@@ -128,49 +144,47 @@ export class DgsPlayer extends HTMLElement {
   /**
    * Plays a stream of a server's `streams.json`: live over WebTransport, live over a WebSocket, its file by ranges,
    * whatever comes first. `transport`, "live", "streams" (live without datagrams), "websocket" or "file", allows one of
-   * them alone.
+   * them alone. Where the server goes away, all are tried again until something else is played.
    */
   async playServed(stream, transport = null) {
-    await this.#climb(rungsOf(stream, transport), "Connecting …");
+    const said = (failure) => (failure?.isRefusal ? failure.message : "The server is gone");
+    const gone = (failure) => this.#say(`${said(failure)}; trying again`);
+    await this.#climb(rungsOf(stream, transport), "Connecting …", gone);
   }
 
   #start(url) {
     return this.#climb([fileRung(url)], "Loading …");
   }
 
-  // Plays what the first of `rungs` brings; when it is cut off, the next takes over where it was.
-  async #climb(rungs, sentence) {
+  // Plays what the first of `rungs` brings; when it is cut off, the next takes over where it is by then, and
+  // all of them again after the last, if `gone` can say so.
+  async #climb(rungs, sentence, gone = null) {
+    this.#forget();
     const signal = this.#loads();
+    if (this.#worker) prepare();
     this.#say(sentence);
     let shown = null;
+    const goesOn = () => shown !== null && shown === this.session;
     const came = () => {
-      this.#loaded = this.session?.loaded ?? 0;
       this.#sayDamage();
       this.#engine?.request();
       this.#emit("progress");
     };
     const began = async (session, name) => {
       if (name !== "file") this.dataset.transport = name;
+      if (goesOn()) this.#next = { playing: !this.paused, time: this.currentTime };
       await this.#began(session, came, signal, shown?.view);
       shown = session;
     };
     const switched = (name) => (this.dataset.transport = name);
-    const given = { began, came, signal, switched, start: () => this.#startTime, player: this, worker: this.#worker };
+    const start = () => (goesOn() ? this.currentTime : this.#startTime);
+    const given = { began, came, gone, signal, switched, start, player: this, worker: this.#worker };
     try {
       await load();
-      for (;;) {
-        const { name, result, failure } = await climb(rungs, given);
-        if (signal.aborted) return;
-        if (name === "file") {
-          if (failure) throw failure;
-          this.#loaded = 1;
-          this.dataset.transport = result;
-          return this.#emit("load");
-        }
-        rungs = rungs.slice(1 + rungs.findIndex((rung) => rung.name === name));
-        if (rungs.length === 0) throw failure ?? new Error("The server has ended the session");
-        if (shown === this.session) this.#next = { playing: !this.paused, time: this.currentTime };
-      }
+      const result = await follow(rungs, given);
+      if (signal.aborted) return;
+      this.dataset.transport = result;
+      this.#emit("load");
     } catch (error) {
       if (!signal.aborted) this.#fail(error);
     }
@@ -178,7 +192,7 @@ export class DgsPlayer extends HTMLElement {
 
   // When the next stream begins, seconds.
   get #startTime() {
-    return this.#next.time ?? (Number(this.getAttribute("time")) || 0);
+    return this.#next.time ?? this.time;
   }
 
   // Shows a session from `view`, if there is one, unless something else is loaded by now.
@@ -192,7 +206,7 @@ export class DgsPlayer extends HTMLElement {
     }
     if (signal.aborted) return session.free();
     session.time = this.#startTime;
-    Object.assign(session, this.#wishes);
+    Object.assign(session, this.#requested);
     this.dataset.decoding = session.decoding;
     if (view) session.setView(view);
     this.#error = null;
@@ -201,12 +215,11 @@ export class DgsPlayer extends HTMLElement {
     this.#engine.session = session;
     this.#paint(session);
     this.#panel.began();
-    this.#loaded = session.loaded;
     came();
     this.#sayDamage();
     this.#emit("loadedmetadata");
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    if (this.#next.playing ?? (this.hasAttribute("autoplay") && !still)) this.play();
+    if (this.#next.playing ?? (this.autoplay && !still)) this.play();
     this.#next = { playing: null, time: null };
     this.#showState();
   }
@@ -222,7 +235,7 @@ export class DgsPlayer extends HTMLElement {
   #listen() {
     const engine = this.#engine;
     engine.addEventListener("firstframe", () => {
-      if (!this.#part(".message").textContent.startsWith("Damaged")) this.#say("");
+      if (!this.#damage) this.#say("");
       this.#firstFrameMs ??= performance.now();
       this.#emit("firstframe");
     });
@@ -238,18 +251,7 @@ export class DgsPlayer extends HTMLElement {
   }
 
   #bind() {
-    const on = (part, event, act) => this.#part(part).addEventListener(event, act);
-    on(".play", "click", () => this.toggle());
-    on(".time", "input", ({ target }) => (this.currentTime = Number(target.value)));
-    on(".speed", "change", ({ target }) => (this.playbackRate = Number(target.value)));
-    on(".quality", "change", ({ target }) => (this.quality = Number(target.value)));
-    on(".loop", "click", () => (this.loop = !this.loop));
-    on(".background", "input", ({ target }) => (this.background = target.value));
-    on(".paint", "click", () => this.nextOverlay());
-    on(".net", "click", () => this.toggleNetwork());
-    on(".whole", "click", () => this.toggleFullscreen());
-    on(".help", "click", () => this.showHelp());
-    on(".network", "toggle", ({ target }) => this.#part(".net").setAttribute("aria-pressed", !target.hidden));
+    bindControls(this.#root, this);
     const canvas = this.#part("canvas.picture");
     bindPointers(canvas, () => this.session, () => this.#moved());
     bindKeys(this, canvas, () => this.#moved());
@@ -270,14 +272,13 @@ export class DgsPlayer extends HTMLElement {
   }
 
   // Where nothing can be drawn, nothing else is said.
-  #say(text) {
-    if (this.#hopeless) return;
-    this.#part(".message").textContent = text;
+  #say(text, passes = false) {
+    if (!this.#hopeless) this.#message.say(text, passes);
   }
 
-  #fail(error) {
+  #fail(error, passes = false) {
     this.#error = error instanceof Error ? error : new Error(String(error));
-    this.#say(this.#error.message);
+    this.#say(this.#error.message, passes);
     this.dispatchEvent(new ErrorEvent("error", { error: this.#error, message: this.#error.message }));
   }
 
@@ -303,15 +304,6 @@ export class DgsPlayer extends HTMLElement {
 
   get error() {
     return this.#error;
-  }
-
-  get src() {
-    return this.getAttribute("src");
-  }
-
-  set src(url) {
-    if (url === null) this.removeAttribute("src");
-    else this.setAttribute("src", url);
   }
 
   /** When the first picture was drawn, milliseconds since the page began; null before. */
@@ -345,38 +337,38 @@ export class DgsPlayer extends HTMLElement {
   }
 
   get playbackRate() {
-    return this.session?.rate ?? this.#wishes.rate;
+    return this.session?.rate ?? this.#requested.rate;
   }
 
   /** Seconds of the clip per second, -4 to 4. */
   set playbackRate(rate) {
-    if (Number.isFinite(rate)) this.#wish("ratechange", { rate: Math.max(-4, Math.min(4, rate)) });
+    if (Number.isFinite(rate)) this.#request("ratechange", { rate: Math.max(-4, Math.min(4, rate)) });
   }
 
   get loop() {
-    return this.#wishes.looping;
+    return this.#requested.looping;
   }
 
   set loop(loop) {
-    this.#wish("loopchange", { looping: Boolean(loop) });
+    this.#request("loopchange", { looping: Boolean(loop) });
   }
 
   /** Highest level shown, 0 to 3. */
   get quality() {
-    return this.#wishes.cap;
+    return this.#requested.cap;
   }
 
   set quality(level) {
-    this.#wish("levelchange", { cap: Math.max(0, Math.min(3, Math.round(level) || 0)) });
+    this.#request("levelchange", { cap: Math.max(0, Math.min(3, Math.round(level) || 0)) });
   }
 
   /** What blocks are painted by: none, levels (that they are shown at), arrivals (of the last second), missing (utility). */
   get overlay() {
-    return this.#wishes.overlay;
+    return this.#requested.overlay;
   }
 
   set overlay(overlay) {
-    this.#wish("levelchange", { overlay: checkedOverlay(overlay) });
+    this.#request("levelchange", { overlay: checkedOverlay(overlay) });
   }
 
   /** Paints blocks by the next of these. */
@@ -384,9 +376,9 @@ export class DgsPlayer extends HTMLElement {
     this.overlay = OVERLAYS[(OVERLAYS.indexOf(this.overlay) + 1) % OVERLAYS.length];
   }
 
-  /** Share of the stream that is there, 0 to 1. */
+  /** Share of the stream that is there, 0 to 1: of a file's bytes, or of the packets of a server's manifest. */
   get buffered() {
-    return this.#loaded;
+    return this.session?.loaded ?? 0;
   }
 
   get background() {
@@ -398,6 +390,11 @@ export class DgsPlayer extends HTMLElement {
     this.#part(".background").value = colour;
     this.#change("backgroundchange", (session) => this.#paint(session));
     this.#engine?.redraw();
+  }
+
+  /** The next of a few backgrounds, from black to white. */
+  nextBackground() {
+    this.background = BACKGROUNDS[(BACKGROUNDS.indexOf(this.background) + 1) % BACKGROUNDS.length];
   }
 
   // Gives a session the background that is chosen.
@@ -424,9 +421,9 @@ export class DgsPlayer extends HTMLElement {
   }
 
   // Of what is played and of whatever comes next.
-  #wish(event, wish) {
-    Object.assign(this.#wishes, wish);
-    if (this.session) return this.#change(event, (session) => Object.assign(session, wish));
+  #request(event, requested) {
+    Object.assign(this.#requested, requested);
+    if (this.session) return this.#change(event, (session) => Object.assign(session, requested));
     this.#showState();
     this.#emit(event);
   }
@@ -494,6 +491,8 @@ export class DgsPlayer extends HTMLElement {
     const dialog = this.#part("dialog");
     if (dialog.open) dialog.close();
     else dialog.showModal();
+    // The focus is on the button at its end.
+    dialog.scrollTop = 0;
   }
 }
 

@@ -136,8 +136,8 @@ export class Engine extends EventTarget {
   }
 
   /**
-   * Draws what is wished as soon as it is decoded: once the promise is kept, what is on the canvas can be copied
-   * until control returns to the browser.
+   * Draws what is requested as soon as it is decoded: once the promise is kept, what is on the canvas can be
+   * copied until control returns to the browser.
    */
   async drawNow() {
     if (this.#screen) await this.#session?.settle(this.#screen);

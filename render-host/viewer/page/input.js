@@ -25,6 +25,7 @@ export const KEYS = [
   ["O", "paint blocks by level, by what just came, by the utility of what is missing"],
   ["N", "network"],
   ["L", "loop"],
+  ["B", "another background"],
   ["F", "full screen"],
   ["?", "these keys"],
 ];
@@ -161,6 +162,7 @@ export function bindKeys(player, canvas, moved) {
     o: () => player.nextOverlay(),
     n: () => player.toggleNetwork(),
     l: () => (player.loop = !player.loop),
+    b: () => player.nextBackground(),
     f: () => player.toggleFullscreen(),
     "?": () => player.showHelp(),
   };
@@ -182,7 +184,8 @@ export function bindKeys(player, canvas, moved) {
     if (event.ctrlKey || event.metaKey || event.altKey || !player.session) return;
     // A control that has the focus keeps its own keys; a button is pressed by the space bar.
     const focus = event.composedPath()[0];
-    if (focus.closest?.("dialog") && event.key !== "?") return;
+    // One that has just closed may have it still.
+    if (focus.closest?.("dialog[open]") && event.key !== "?") return;
     const own = ["INPUT", "SELECT"].includes(focus.tagName) && event.key !== "?";
     if (own || (focus.tagName === "BUTTON" && event.key === " ")) return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;

@@ -8,6 +8,8 @@ import { fetchStream } from "./source.js";
 const HEAD_START_MS = 300;
 // As much before a file, which needs fewer round trips than a session and is the poorer: nobody weighs its packets.
 const BEFORE_FILE_MS = 2000;
+// What lies between two climbs to a server that is gone, milliseconds: at first, and at most.
+const [FIRST_PAUSE_MS, LONGEST_PAUSE_MS] = [500, 10_000];
 // Where a page remembers which transport was the first.
 const REMEMBERED = "dgs-transport";
 
@@ -16,18 +18,45 @@ export function fileRung(url) {
   return { name: "file", run: (given) => fetchStream(new URL(url, document.baseURI).href, given) };
 }
 
-/** The rungs of a stream of `streams.json`, best first; `wish` allows one alone. */
-export function rungsOf(stream, wish) {
+/** The rungs of a stream of `streams.json`, best first; `only` allows one alone. */
+export function rungsOf(stream, only) {
   const rungs = [];
   const live = (name, open) => rungs.push({ name, run: (given) => receive(stream, open, given) });
   if (hasWebTransport(stream)) {
     // Streams are the same session: live changes to them where no datagrams pass, and they come first once they did.
-    if ([wish, remembered()].includes("streams")) live("streams", (signal) => openWebTransport(stream, signal, true));
+    if ([only, remembered()].includes("streams")) {
+      live("streams", (signal) => openWebTransport(stream, signal, true));
+    }
     live("live", (signal) => openWebTransport(stream, signal));
   }
   if (stream.web_address) live("websocket", openWebSocket);
   if (stream.file) rungs.push(fileRung(stream.file));
-  return rungs.filter(({ name }) => !wish || name === wish);
+  return rungs.filter(({ name }) => !only || name === only);
+}
+
+/**
+ * Plays what the rungs bring until a file is whole, and gives what its run gave, or until `signal` is aborted.
+ * What is cut off goes on by the rungs below; once none is left, by all of them again, after a pause that doubles
+ * each time, and `gone(failure)` hears of it. Without `gone`, and where nothing has begun yet, that is an error.
+ */
+export async function follow(rungs, { began, gone, signal, ...given }) {
+  let [left, pause, hasBegun] = [rungs, FIRST_PAUSE_MS, false];
+  const note = async (session, name) => {
+    await began(session, name);
+    [pause, hasBegun] = [FIRST_PAUSE_MS, true];
+  };
+  while (!signal.aborted) {
+    const tried = climb(left, { ...given, began: note, signal });
+    const { name, result, failure } = await tried.catch((failure) => ({ failure }));
+    if (signal.aborted) return;
+    if (name === "file" && !failure) return result;
+    left = name ? left.slice(1 + left.findIndex((rung) => rung.name === name)) : [];
+    if (left.length > 0) continue;
+    if (!gone || !hasBegun) throw failure ?? new Error("The server has ended the session");
+    gone(failure);
+    await new Promise((resolve) => setTimeout(resolve, pause));
+    [left, pause] = [rungs, Math.min(2 * pause, LONGEST_PAUSE_MS)];
+  }
 }
 
 /**
@@ -35,14 +64,14 @@ export function rungsOf(stream, wish) {
  * which ends the others; `switched("streams")` once it asks for media in streams. Resolves with the winner's name and what
  * its run gave once that has ended, or `failure`.
  */
-export async function climb(rungs, { began, signal, switched, ...given }) {
+async function climb(rungs, { began, signal, switched, ...given }) {
   const known = remembered();
   const order = [...rungs].sort((a, b) => (b.name === known) - (a.name === known));
   let winner = null;
   const tries = order.map((rung) => ({ rung, control: new AbortController(), begun: false }));
   const end = () => tries.forEach(({ control }) => control.abort());
   signal.addEventListener("abort", end);
-  return new Promise((resolve, reject) => {
+  const outcome = new Promise((resolve, reject) => {
     let left = tries.length;
     let timer = 0;
     const next = () => {
@@ -78,6 +107,7 @@ export async function climb(rungs, { began, signal, switched, ...given }) {
     if (left === 0) reject(new Error("This browser or this server has no such transport"));
     next();
   });
+  return outcome.finally(() => signal.removeEventListener("abort", end));
 }
 
 // A page inside another may have no storage.

@@ -2,7 +2,7 @@
 //
 // Every link has `control` and `media`, readers of `{ value, done }`; `write(bytes)` to the control stream;
 // `send(datagram)`; `close()`. One that can do without datagrams has `useStreams()`, to be called after hello, and says
-// by `inStreams` whether that is wished from the start. SESSION.md has every byte.
+// by `inStreams` whether that is wanted from the start. SESSION.md has every byte.
 
 // Datagrams that wait for this page; of more the oldest are lost.
 const WAITING_PACKETS = 4096;
@@ -141,12 +141,17 @@ export async function openWebSocket(signal) {
     frame.set(bytes, 1);
     return frame;
   };
+  // A socket that closes complains to people of what it is given.
+  const isOpen = () => socket.readyState === WebSocket.OPEN;
   return {
     control,
     media,
-    write: async (bytes) => socket.send(framed(CONTROL, bytes)),
+    write: async (bytes) => {
+      if (!isOpen()) throw new Error("The WebSocket is closed");
+      socket.send(framed(CONTROL, bytes));
+    },
     send: async (datagram) => {
-      if (socket.bufferedAmount < MAX_BUFFERED) socket.send(framed(DATAGRAM, datagram));
+      if (isOpen() && socket.bufferedAmount < MAX_BUFFERED) socket.send(framed(DATAGRAM, datagram));
     },
     close,
   };

@@ -15,12 +15,12 @@ const RECEIPT_INTERVAL_MS = 100;
 const SEEK_INTERVAL_MS = 250;
 // A clip shorter than this, seconds, that repeats is not sent again.
 const SHORTEST_ROUND_S = 1;
-// Without any media for this long after the manifest, it is wished for in streams, milliseconds.
+// Without any media for this long after the manifest, it is requested in streams, milliseconds.
 const NO_DATAGRAMS_MS = 1000;
 
 /**
  * Receives `stream` (of `/streams.json`) on the link that `open` opens; `began(session)` once its manifest is there,
- * `switched("streams")` once media is wished for in streams because no datagrams pass.
+ * `switched("streams")` once media is requested in streams because no datagrams pass.
  */
 export async function receive(stream, open, { began, came, player, signal, start, switched, worker }) {
   let link = null;
@@ -39,7 +39,7 @@ export async function receive(stream, open, { began, came, player, signal, start
     if (kind === REFUSAL) throw refused(body);
     if (kind !== MANIFEST) throw new Error(`The server sends a message of kind ${kind} in place of a manifest`);
     const session = await Session.receive(body, { worker });
-    // From its first moment on: what is wished before is asked of the server, too.
+    // From its first moment on: what was requested earlier is asked of the server, too.
     rounds.serve(session);
     await began(session);
     if (player.session === session) await rounds.receive(session, came, signal, switched);
@@ -64,7 +64,7 @@ class Rounds {
   // One receipt is made at a time, where the packets are.
   #saying = false;
   // Conditions that the next round is to begin under, and whom to tell what came of those of a round.
-  #wish = null;
+  #wanted = null;
   #asked = null;
   // Whether every round begins with nothing.
   #anew = false;
@@ -77,7 +77,7 @@ class Rounds {
     this.#player = player;
   }
 
-  /** Takes wishes for other conditions. */
+  /** Takes requests for other conditions. */
   serve(session) {
     session.server = (conditions) => this.#ask(session, conditions);
   }
@@ -85,7 +85,7 @@ class Rounds {
   async receive(session, came, signal, switched) {
     const player = this.#player;
     const start = await session.roundStart(player.currentTime);
-    // A wish may have begun another round meanwhile.
+    // A request may have begun another round meanwhile.
     if (this.#round === 0) this.#start = start;
     const say = () => this.#receipt(session).catch(() => {});
     const timer = setInterval(say, RECEIPT_INTERVAL_MS);
@@ -112,7 +112,7 @@ class Rounds {
       }
     } finally {
       session.server = null;
-      this.#wish?.tell(null);
+      this.#wanted?.tell(null);
       this.#asked?.tell(null);
       clearInterval(timer);
       clearTimeout(waiting);
@@ -149,8 +149,8 @@ class Rounds {
   // Begins a round under `conditions`; resolves with what is granted, null where later ones came first.
   #ask(session, conditions) {
     return new Promise((tell) => {
-      this.#wish?.tell(null);
-      this.#wish = { conditions, tell };
+      this.#wanted?.tell(null);
+      this.#wanted = { conditions, tell };
       this.#seekSoon(session);
     });
   }
@@ -190,18 +190,20 @@ class Rounds {
     body.setUint32(0, this.#round, true);
     body.setBigUint64(4, BigInt(Math.round(time * MICROSECONDS)), true);
     const seek = new Uint8Array(body.buffer);
-    const wish = this.#wish;
-    if (wish) {
+    const wanted = this.#wanted;
+    if (wanted) {
       this.#asked?.tell(null);
-      [this.#wish, this.#asked] = [null, { round: this.#round, tell: wish.tell, anew: wish.conditions.anew ?? false }];
+      const { conditions, tell } = wanted;
+      [this.#wanted, this.#asked] = [null, { round: this.#round, tell, anew: conditions.anew ?? false }];
     } else if (this.#anew) await session.restart();
-    const message = wish ? framed(CONDITIONS, seek, conditionsBody(wish.conditions)) : framed(SEEK, seek);
+    const message = wanted ? framed(CONDITIONS, seek, conditionsBody(wanted.conditions)) : framed(SEEK, seek);
     await this.#link.write(message);
   }
 }
 
 function refused(body) {
-  return new Error(`The server refuses: ${new TextDecoder().decode(body.subarray(1))}`);
+  const message = `The server refuses: ${new TextDecoder().decode(body.subarray(1))}`;
+  return Object.assign(new Error(message), { isRefusal: true });
 }
 
 // A message of the control stream.

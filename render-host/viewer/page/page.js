@@ -1,5 +1,6 @@
 // The page plays what is dropped, chosen, named by ?src=, or served beside it, and keeps the view in its address.
 
+import { PASSING_MS } from "./bar.js";
 import "./dgs-player.js";
 
 const player = document.querySelector("dgs-player");
@@ -34,9 +35,20 @@ for (const event of ["camerachange", "pause", "seeked"]) {
 }
 addEventListener("hashchange", readAddress);
 
-function play(file) {
+async function play(file) {
+  const { hidden } = welcome;
   welcome.hidden = true;
-  player.open(file);
+  await player.open(file);
+  // Whoever brought something else is asked again, once they have read so.
+  if (!hidden && !player.session) setTimeout(() => (welcome.hidden = player.session !== null), PASSING_MS);
+}
+
+// On this page keys are the player's wherever nothing else has the focus.
+for (const name of ["keydown", "keyup"]) {
+  addEventListener(name, (event) => {
+    if (event.target !== document.body) return;
+    if (!player.dispatchEvent(new KeyboardEvent(name, event))) event.preventDefault();
+  });
 }
 
 document.getElementById("pick").addEventListener("change", ({ target }) => target.files[0] && play(target.files[0]));
@@ -72,8 +84,8 @@ async function playServed() {
   const served = (await answer.json()).filter((stream) => stream.file || stream.web_address);
   if (served.length === 0 || player.src) return;
   welcome.hidden = true;
-  const wish = parameters.get("stream");
-  const shown = served.find((stream) => stream.name === wish) ?? served[0];
+  const requested = parameters.get("stream");
+  const shown = served.find((stream) => stream.name === requested) ?? served[0];
   player.playServed(shown, parameters.get("transport"));
   if (served.length < 2) return;
   const list = document.getElementById("streams");

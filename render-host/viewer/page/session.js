@@ -6,7 +6,7 @@ import { Decoding } from "./decoding.js";
 const LEVELS = 4;
 /** Packets that may wait for the decoder before whoever brings them should wait, too. */
 export const MAX_WAITING = 1024;
-// Requests that a picture of what is wished may take.
+// Questions to the decoder that the picture of what is requested may take.
 const MAX_ROUNDS = 8;
 
 // What blocks can be painted by, in the decoder's order.
@@ -26,6 +26,7 @@ export class Session extends Controls {
   #facts;
   #cap = LEVELS - 1;
   #overlay = OVERLAYS[0];
+  // Share of the file that is there; null of a stream that a server sends.
   #loaded;
   #damage;
   // What the decoder said last, besides pictures.
@@ -47,8 +48,8 @@ export class Session extends Controls {
   // The emulated network before the decoder, as text.
   #network = JSON.stringify(PERFECT);
   /**
-   * Asks whoever sends for other conditions, if one does that takes wishes: resolves with what is granted, `{ link,
-   * scheduler }`, or with null where a later wish took its place.
+   * Asks whoever sends for other conditions, if one does that takes requests: resolves with what is granted,
+   * `{ link, scheduler }`, or with null where a later request took its place.
    */
   server = null;
   /** Called when an answer has come, and when the decoder fails. */
@@ -73,7 +74,8 @@ export class Session extends Controls {
   static async #make(given, { worker = true } = {}) {
     const decoding = await Decoding.open(worker);
     try {
-      return new Session(decoding, await decoding.ask("make", given, [given.bytes.buffer]));
+      const facts = await decoding.ask("make", given, [given.bytes.buffer]);
+      return new Session(decoding, given.how === "receive" ? { ...facts, loaded: null } : facts);
     } catch (error) {
       decoding.close();
       throw error;
@@ -109,9 +111,9 @@ export class Session extends Controls {
     return this.#damage;
   }
 
-  /** Share of the file that is there. */
+  /** Share of the file that is there; of what a server sends, the share of its packets, as last answered. */
   get loaded() {
-    return this.#loaded;
+    return this.#loaded ?? Math.min(1, this.#state.packets[1] / Math.max(1, this.#facts.packets));
   }
 
   /** Highest level shown, 0 to 3. */
@@ -162,12 +164,12 @@ export class Session extends Controls {
     return this.#uploads;
   }
 
-  /** Whether the screen has the picture of what is wished. */
+  /** Whether the screen has the picture of what is requested. */
   get settled() {
-    return this.#shown === this.#wish() && this.#packets.length === 0;
+    return this.#shown === this.#target() && this.#packets.length === 0;
   }
 
-  #wish() {
+  #target() {
     return `${this.frame} ${this.#cap} ${this.#overlay} ${this.#changes}`;
   }
 
@@ -251,8 +253,8 @@ export class Session extends Controls {
 
   /**
    * Asks whoever sends for `conditions`: what `impair` takes, `scheduler` by name and `anew`. What is not granted of
-   * the network is emulated here. Resolves with what is granted, `{ link, scheduler }`; null for a wish that a later
-   * one replaced.
+   * the network is emulated here. Resolves with what is granted, `{ link, scheduler }`; null for a request
+   * that a later one replaced.
    */
   async setConditions(conditions) {
     const granted = this.server ? await this.server(conditions) : { link: false, scheduler: false };
@@ -286,21 +288,22 @@ export class Session extends Controls {
   }
 
   /**
-   * Asks the decoder for what is wished at `now`, milliseconds, unless it is asked already: of frames that are
-   * wished while it is at work, the newest is the next. `wished` says whether there is a screen for a picture.
+   * Asks the decoder for what is requested at `now`, milliseconds, unless it is asked already: of frames that
+   * are requested while it is at work, the newest is the next. `hasScreen`: is there a screen for a picture?
    */
-  request(now, wished) {
-    const wish = this.#wish();
-    const asked = `${wish} ${wished}`;
+  request(now, hasScreen) {
+    const target = this.#target();
+    const asked = `${target} ${hasScreen}`;
     if (this.#pending || this.#freed || (asked === this.#requested && !this.busy)) return;
     this.#requested = asked;
     const anew = this.#anew;
     const given = { frame: this.frame, cap: this.#cap, overlay: OVERLAYS.indexOf(this.#overlay), now: now / 1000 };
     const buffer = this.#buffer;
     this.#buffer = null;
-    if (wished) this.#anew = false;
-    this.#pending = this.#decoding.ask("show", { ...given, anew, wished, buffer }, buffer ? [buffer] : []).then(
-      ({ picture, state }) => this.#takeAnswer(wish, wished, picture, state),
+    if (hasScreen) this.#anew = false;
+    const asking = { ...given, anew, hasScreen, buffer };
+    this.#pending = this.#decoding.ask("show", asking, buffer ? [buffer] : []).then(
+      ({ picture, state }) => this.#takeAnswer(target, hasScreen, picture, state),
       (error) => {
         this.#pending = null;
         this.#fail(error);
@@ -308,12 +311,12 @@ export class Session extends Controls {
     );
   }
 
-  #takeAnswer(wish, wished, picture, state) {
+  #takeAnswer(target, hasScreen, picture, state) {
     this.#pending = null;
     if (this.#freed) return;
     this.#state = state;
     // A screen was forgotten while this was made.
-    if (wished && !this.#anew) this.#answer = { wish, picture };
+    if (hasScreen && !this.#anew) this.#answer = { target, picture };
     this.answered();
   }
 
@@ -321,25 +324,25 @@ export class Session extends Controls {
     if (!this.#freed) this.failed(error);
   }
 
-  /** Asks for what is wished and uploads what was answered. */
+  /** Asks for what is requested and uploads what was answered. */
   update(now, screen) {
     const answer = this.#answer;
     this.#answer = null;
     this.request(now, screen !== null);
     if (!answer || !screen) return;
-    const { wish, picture } = answer;
+    const { target, picture } = answer;
     if (picture) {
       const { count, degree, onlyMoved, bytes, buffer } = picture;
       screen.upload(count, degree, onlyMoved, this.#facts.footprint, new Uint8Array(buffer, 0, bytes));
       this.#buffer = buffer;
       this.#uploads += 1;
     }
-    this.#shown = wish;
+    this.#shown = target;
   }
 
-  /** Asks, waits and uploads until the screen has what is wished. */
+  /** Asks, waits and uploads until the screen has what is requested. */
   async settle(screen) {
-    // A clip that plays wishes for another frame each time.
+    // A clip that plays requests another frame each time.
     for (let round = 0; round < MAX_ROUNDS && !this.settled && !this.#freed && !screen.lost; round++) {
       this.update(performance.now(), screen);
       await (this.#pending ?? this.#pushing);

@@ -7,6 +7,23 @@ import { Session } from "./session.js";
 const TRIES = 4;
 const PAUSE_MS = 200;
 
+// How every version of a stream begins: "DGS".
+const MAGIC = [0x44, 0x47, 0x53];
+
+/** The session of a file, a Blob or bytes; of what begins as no stream does, no more is read. */
+export async function openFile(file, options) {
+  const first = await copied(file.slice(0, MAGIC.length));
+  if (!MAGIC.every((byte, at) => first[at] === byte)) {
+    throw new Error(`${file.name ?? "This"} is no .dgs stream: \`dgs encode\` makes one`);
+  }
+  return Session.open(await copied(file), options);
+}
+
+// What somebody else holds is not given away.
+async function copied(file) {
+  return file instanceof Uint8Array ? file.slice() : new Uint8Array(await file.arrayBuffer());
+}
+
 /**
  * Fetches `url` and calls `began(session)` as soon as its manifest is there, `came()` with every piece after.
  * Base levels come first; a server without byte ranges sends the whole. Resolves when all is there.

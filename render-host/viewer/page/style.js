@@ -26,8 +26,9 @@ input[type=color] { width: 36px; height: 36px; padding: 2px; background: #222d; 
 .painted { position: absolute; top: 8px; left: 8px; max-width: min(24em, calc(100% - 16px)); margin: 0; padding: 2px 8px;
   border-radius: 6px; background: #111c; font-size: 12px; pointer-events: none; }
 .painted:empty { display: none; }
-.network { position: absolute; top: 8px; right: 8px; width: min(280px, calc(100% - 16px)); background: #111d;
-  border-radius: 8px; padding: 8px; max-height: calc(100% - 84px); overflow: auto; }
+.network { position: absolute; top: 8px; right: 8px; width: min(296px, calc(100% - 16px)); background: #111d;
+  border-radius: 8px; padding: 8px; max-height: calc(100% - 16px - var(--bar, 64px)); overflow: auto;
+  box-sizing: border-box; }
 .network[hidden] { display: none; }
 .network label { display: grid; grid-template-columns: 5em 1fr 5.2em; gap: 6px; align-items: center; }
 .network label[hidden] { display: none; }
@@ -49,6 +50,12 @@ kbd { background: #333; border-radius: 4px; padding: 0 5px; font: inherit; }
 @media (prefers-reduced-motion: reduce) { .bar { transition: none; } }
 @media (prefers-contrast: more) { button, select, .network { background: #000; border-color: #fff; } }
 @media (max-width: 480px) { .wide { display: none; } }
+@container (max-width: 480px) {
+  .network { inset: auto 8px var(--bar, 104px) 8px; width: auto;
+    max-height: max(50% - var(--bar, 104px), min(12rem, 100% - 16px - var(--bar, 104px))); }
+  dialog dl { grid-template-columns: 1fr; gap: 0; }
+  dialog dd { margin-bottom: 8px; }
+}
 @container (max-width: 360px) {
   .bar :is(.clock, .speed, .quality, .background, .paint, .net, .help) { display: none; }
   .bar input.time { flex-basis: 60px; min-width: 48px; }

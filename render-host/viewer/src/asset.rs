@@ -29,6 +29,7 @@ assets! {
     "page.css" CSS, include_bytes!("../page/page.css");
     "page.js" SCRIPT, include_bytes!("../page/page.js");
     "dgs-player.js" SCRIPT, include_bytes!("../page/dgs-player.js");
+    "attributes.js" SCRIPT, include_bytes!("../page/attributes.js");
     "bar.js" SCRIPT, include_bytes!("../page/bar.js");
     "conditions.js" SCRIPT, include_bytes!("../page/conditions.js");
     "decoder.js" SCRIPT, include_bytes!("../page/decoder.js");

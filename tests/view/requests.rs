@@ -1,9 +1,9 @@
-//! What is wished of a player holds, whenever it is wished, whatever becomes of the element.
+//! What is requested of a player holds, whenever it is requested, whatever becomes of the element.
 
 use super::{PAGE_TIMEOUT_S, Page, SIDE};
 
 #[test]
-fn what_is_wished_before_a_stream_begins_holds_from_its_beginning() {
+fn what_is_requested_before_a_stream_begins_holds_from_its_beginning() {
     let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25", SIDE / 4) else {
         return;
     };
@@ -30,7 +30,7 @@ fn what_is_wished_before_a_stream_begins_holds_from_its_beginning() {
     assert_eq!(page.run("[...new Set(heard)].join()"), "loadedmetadata,play,playing,pause,ended");
     let lost = "player.session.packets()[0] > player.session.packets()[1]";
     assert_eq!(page.run(lost), true, "the network is there from the beginning");
-    // Of the next stream, too, but whether it plays and from when; and no wish is none.
+    // Of the next stream, too, but whether it plays and from when; and NaN is no rate.
     page.run(
         "globalThis.old = player.session; player.playbackRate = NaN; player.src = 'streams/large.dgs', 0",
     );
@@ -56,6 +56,68 @@ fn what_is_wished_before_a_stream_begins_holds_from_its_beginning() {
     let open = "(async () => { const file = await (await fetch('streams/small.dgs')).blob();\
         await player.open(file); return player.error.message; })()";
     assert_eq!(page.run(open), "The player is in no page");
+    page.close();
+}
+
+/// Nobody need click before keys are heard; and who gives the player the focus gives it to the picture.
+#[test]
+fn keys_are_heard_on_a_page_where_nothing_has_the_focus() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25", SIDE / 4) else {
+        return;
+    };
+    assert_eq!(page.run("document.activeElement === document.body && player.paused"), true);
+    page.browser.press(" ").unwrap();
+    assert_eq!(page.run("player.paused"), false);
+    page.browser.press("o").unwrap();
+    assert_eq!(page.run("player.overlay"), "levels");
+    page.browser.press("n").unwrap();
+    assert_eq!(page.run("player.shadowRoot.querySelector('.network').hidden"), false);
+    // A key that is let go is held no longer.
+    page.run("globalThis.view = String(player.view), 0");
+    page.browser.press("w").unwrap();
+    assert_eq!(page.run("view === String(player.view)"), false);
+    page.run("globalThis.view = String(player.view), globalThis.shown = 0, 0");
+    page.run("requestAnimationFrame(() => requestAnimationFrame(() => (shown = 1))), 0");
+    page.browser.wait(PAGE_TIMEOUT_S, "shown === 1").unwrap();
+    assert_eq!(page.run("view === String(player.view)"), true);
+    let help = "player.shadowRoot.querySelector('dialog').open";
+    page.browser.press("?").unwrap();
+    assert_eq!(page.run(help), true);
+    page.browser.press("?").unwrap();
+    assert_eq!(page.run(help), false);
+    page.run("document.activeElement.blur(), player.focus(), 0");
+    assert_eq!(page.run("player.shadowRoot.activeElement?.className"), "picture");
+    page.close();
+}
+
+/// Attributes that `<video>` has as properties are properties.
+#[test]
+fn attributes_are_properties() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25", SIDE / 4) else {
+        return;
+    };
+    assert_eq!(page.run("[player.autoplay, player.controls, player.time].join()"), "false,true,0");
+    page.run(
+        "player.remove(); globalThis.player = document.createElement('dgs-player');\
+         player.style.cssText = 'width:256px;height:256px'; player.setAttribute('pixel-ratio', '0.25');\
+         [player.controls, player.loop, player.time] = [true, false, 0.4]; player.time = NaN;\
+         document.body.append(player); player.src = 'streams/small.dgs', 0",
+    );
+    page.browser.wait(PAGE_TIMEOUT_S, "!!player.session").unwrap();
+    assert_eq!(
+        page.run("[player.getAttribute('time'), player.currentTime, player.paused].join()"),
+        "0.4,0.4,true"
+    );
+    let bar = "getComputedStyle(player.shadowRoot.querySelector('.bar')).display";
+    assert_eq!(page.run(bar), "flex");
+    page.run(
+        "globalThis.old = player.session; [player.controls, player.autoplay] = [false, true];\
+        player.src = 'streams/large.dgs', 0",
+    );
+    assert_eq!(page.run(bar), "none");
+    page.browser.wait(PAGE_TIMEOUT_S, "player.session !== old && !player.paused").unwrap();
+    page.run("player.autoplay = false, 0");
+    assert_eq!(page.run("player.hasAttribute('autoplay')"), false);
     page.close();
 }
 
