@@ -284,8 +284,8 @@ fn summary(args: &Play, report: &PlayReport, quality: Option<&Quality>) -> Strin
     let late = report.shown.iter().map(|shown| shown.late_ms).fold(0.0, f64::max);
     let mut text = format!(
         "{}\n  startup {startup}, {} frames shown of a clip of {}, {} rounds, at most {late:.1} ms late\n  \
-         base missed {:.2} %, {:.2} of 4 levels usable, {}\n  {} packets, {:.1} KiB, {} recovered by repair, {} \
-         twice, {} refused, {} connections\n",
+         base missed {:.2} %, {:.2} of 4 levels usable, {}\n  {} packets, {:.1} KiB, {} recovered by \
+         repair, {} twice, {} refused, {} connections\n",
         args.url,
         report.shown_count,
         report.frames,

@@ -8,8 +8,8 @@ const MIN_BASE: f64 = 0.5;
 /// Identifiers for WebRTC's Statistics API, `freezeCount`.
 const NOTICED: Nanos = Nanos::from_ms(150);
 
-/// The freezes of a playout, frame by frame. Playout never waits once it has begun: what has not come shows as
-/// a freeze.
+/// The freezes of a playout, frame by frame. Playout never waits once it has begun: what has not come shows
+/// as a freeze.
 ///
 /// ```
 /// use emulator_host::{Nanos, session::Freezes};
