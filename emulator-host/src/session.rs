@@ -58,7 +58,7 @@ pub use viewer_path::ViewerPath;
 
 /// Bytes around a DGSP packet inside the UDP payload: QUIC short header 11, DATAGRAM frame 3, authentication
 /// tag 16.
-pub const QUIC_OVERHEAD_BYTES: u32 = 30;
+pub(crate) const QUIC_OVERHEAD_BYTES: u32 = 30;
 /// IPv4 and UDP headers, counted on the link only.
 pub const IP_UDP_BYTES: u32 = 28;
 
