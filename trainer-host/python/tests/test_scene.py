@@ -15,7 +15,7 @@ import dgs
 
 
 def test_the_version_is_that_of_the_package() -> None:
-    assert dgs.__version__ == importlib.metadata.version("dgs")
+    assert dgs.__version__ == importlib.metadata.version("dgs-splats")
 
 
 def arrays(count: int = 50, frames: int = 3) -> dict[str, Any]:
