@@ -50,12 +50,12 @@ pub struct CameraArgs {
 }
 
 impl CameraArgs {
-    /// Whether anything is typed.
+    /// Whether any of them is given.
     pub fn is_given(&self) -> bool {
         !self.given().is_empty()
     }
 
-    /// The options that are typed.
+    /// The options that are given.
     pub fn given(&self) -> Vec<&'static str> {
         let Self { cameras, camera, eye, target, fov, turntable } = self;
         let options = [

@@ -93,11 +93,11 @@ pub struct Train {
     pub evaluations: u32,
     /// Fine-tune for what delivery leaves: reconstruction, iid, burst-cvar, mixed, or a JSON file of options.
     /// A dataset is trained first; a scene is taken as it is and compared with its own renders. Pixels that
-    /// masks of a dataset leave out (mask_path) stay as they were trained. Also writes registration.json
-    /// (what was fixed before), delivery.json (what came of it) and delivery.dgst (to resume). `recorded` in
-    /// the file of options names states of a real delivery, which `dgs stream --states` writes: every other
-    /// world of mixed is one of them. Of a dataset it is trained first, and its stream is that of
-    /// DIR/checkpoint.dgst, which `dgs encode` makes.
+    /// masks of a dataset leave out (mask_path) stay as they were trained, and count in its figures. Also
+    /// writes registration.json (what was fixed before), delivery.json (what came of it) and delivery.dgst
+    /// (to resume). `recorded` in the file of options names states of a real delivery, which `dgs stream
+    /// --states` writes: every other world of mixed is one of them. A dataset is trained first for that; its
+    /// stream is then the one that `dgs encode` makes of DIR/checkpoint.dgst.
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
     /// Largest loss of PSNR by encoding, dB.

@@ -5,7 +5,7 @@ import { OVERLAYS } from "./session.js";
 import { STYLE } from "./style.js";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
-// How long a sentence that goes away is there, milliseconds.
+/** How long a sentence that goes away is there, milliseconds. */
 export const PASSING_MS = 6000;
 /** Backgrounds that a key goes through. */
 export const BACKGROUNDS = ["#000000", "#404040", "#bfbfbf", "#ffffff"];

@@ -224,7 +224,9 @@ mod tests {
         for name in ["seq_%04d.ply", "%d.spz"] {
             assert!(of(name).unwrap_err().to_string().contains("name a folder"), "{name}");
         }
-        assert!(of("50%.ply").is_ok() && of("my%20dog.ply").is_ok());
+        for name in ["50%.ply", "my%20dog.ply"] {
+            assert_eq!(of(name).unwrap(), SceneOutput::File(FileFormat::Ply));
+        }
         let error = of("x.obj").unwrap_err().to_string();
         assert!(error.contains("x.obj") && error.contains(".compressed.ply"), "{error}");
     }

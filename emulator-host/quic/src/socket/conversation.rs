@@ -163,9 +163,9 @@ impl<'c> Conversation<'c> {
             }
             return Ok(Next::Wait(self.deadline));
         }
-        let receipt_at = self.receipt_at.map_or(self.history_at, |at| self.history_at.min(at));
+        let receipt_due = self.receipt_at.map_or(self.history_at, |at| self.history_at.min(at));
         let due = if is_over { Some(over_at) } else { self.playback.next_time() };
-        Ok(Next::Wait(due.map_or(receipt_at, |due| due.min(receipt_at))))
+        Ok(Next::Wait(due.map_or(receipt_due, |due| due.min(receipt_due))))
     }
 
     /// The round that playback or the viewer asks for in place of this one.
