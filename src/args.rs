@@ -322,8 +322,9 @@ pub struct StreamArgs {
     pub policy: PolicyName,
     /// An emulated link in the words of `dgs serve --impair`, in place of the options of the link but for
     /// --controller and --transport: a capacity trace, or a list of loss=5%, burst=PACKETS, rate=5mbit,
-    /// delay=40ms (both ways), jitter=5ms, queue=250ms, trace=FILE, seed=1. What the receiver sends comes
-    /// over 2 Mbit/s.
+    /// delay=40ms (both ways), jitter=5ms, queue=250ms, trace=FILE, light=40mbit/15kB/100ms (the first
+    /// 15 kB after a pause of 100 ms pass at 40 Mbit/s, as on cellular links), seed=1. What the receiver
+    /// sends comes over 2 Mbit/s.
     #[arg(
         long, value_name = "LINK",
         conflicts_with_all = [

@@ -8,6 +8,7 @@
 
 mod frames;
 mod leftovers;
+mod log;
 
 use std::{
     fs,
@@ -20,7 +21,7 @@ use tempfile::NamedTempFile;
 
 pub use self::frames::FrameFolder;
 use self::leftovers::Unfinished;
-pub(crate) use self::leftovers::remove_unfinished;
+pub(crate) use self::{leftovers::remove_unfinished, log::LineLog};
 use crate::output;
 
 /// `path` for people and for JSON, which holds no other text than Unicode: what is none is shown as

@@ -2,6 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
+#[cfg(unix)]
+#[path = "cli/logged.rs"]
+mod logged;
 #[path = "cli/run.rs"]
 #[allow(dead_code, reason = "other tests use the rest")]
 mod run;

@@ -56,7 +56,7 @@ pub fn upper_bound(graph: &PacketGraph, path: &PathConfig, start: Nanos, steps: 
     let capacity = |last_frame: u32| {
         let shown = start + graph.frame_interval().times(u64::from(last_frame));
         // What is shown must have left the link one delay earlier.
-        path.capacity.bytes_until(shown - path.delay).0.saturating_sub(control) as f64
+        path.bytes_until(shown - path.delay).0.saturating_sub(control) as f64
     };
     let pieces = Pieces::new(graph);
     let coarse = LinearProgram::new(graph, &pieces, COARSE_SLOT, &capacity).solve(steps);

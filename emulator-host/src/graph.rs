@@ -441,10 +441,4 @@ impl PacketGraph {
     pub fn total_bytes(&self) -> u64 {
         self.parts.packets.iter().map(|packet| u64::from(packet.wire_bytes)).sum()
     }
-
-    /// Whether every group has the same Ũ, so that the paper's table says nothing.
-    pub(crate) fn risk_adjusted_is_flat(&self) -> bool {
-        let bits = |group: &Group| group.risk_adjusted.to_bits();
-        self.parts.groups.windows(2).all(|pair| bits(&pair[0]) == bits(&pair[1]))
-    }
 }

@@ -10,6 +10,7 @@
 mod chain;
 mod delay;
 mod gilbert_elliott;
+mod light_load;
 mod loss;
 mod path;
 mod queue;
@@ -25,6 +26,7 @@ use crate::clock::Nanos;
 pub use chain::Chain;
 pub use delay::Delay;
 pub use gilbert_elliott::{GilbertElliott, GilbertElliottParams};
+pub use light_load::LightLoad;
 pub use loss::{Loss, LossProcess};
 pub use path::{Capacity, LossModel, PathConfig, PathError, Reordering};
 pub use queue::QueueLimit;

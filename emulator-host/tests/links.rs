@@ -3,8 +3,11 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail like tests")]
 
 use emulator_host::{
-    clock::{Nanos, Rate},
-    link::{BoxOutput, Capacity, Chain, Datagram, LinkBox, LossModel, PathConfig, QueueLimit, Reordering},
+    clock::{Bytes, Nanos, Rate},
+    link::{
+        BoxOutput, Capacity, Chain, Datagram, LightLoad, LinkBox, LossModel, PathConfig, QueueLimit,
+        Reordering,
+    },
     trace::{DelayTrace, Limits, Replay, Trace},
 };
 use proptest::prelude::*;
@@ -42,6 +45,11 @@ fn path() -> impl Strategy<Value = PathConfig> {
     (capacity(), 0u64..20_000, 0u32..20, loss, reorder, 0u64..40, 0u64..5, any::<bool>()).prop_map(
         move |(capacity, bytes, datagrams, loss, reorder, delay, jitter, follow)| PathConfig {
             capacity,
+            light: (bytes % 3 == 0).then(|| LightLoad {
+                rate: Rate::from_kbps(bytes),
+                burst: Bytes(bytes),
+                pause: Nanos::from_ms(delay),
+            }),
             queue: QueueLimit { bytes, datagrams },
             loss,
             delay: Nanos::from_ms(delay),

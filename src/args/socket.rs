@@ -33,7 +33,7 @@ pub struct Serve {
         long, value_name = "URL",
         conflicts_with_all = [
             "listen", "http", "no_http", "host", "cert", "key", "policy", "controller", "max_viewers",
-            "max_viewers_per_address", "max_rate", "idle", "impair", "fixed_conditions",
+            "max_viewers_per_address", "max_rate", "idle", "impair", "fixed_conditions", "log",
         ]
     )]
     pub moq: Option<Locator>,
@@ -89,9 +89,15 @@ pub struct Serve {
     )]
     pub idle: u64,
     /// An emulated link before every viewer: a capacity trace, or a list of loss=5%, burst=PACKETS,
-    /// rate=5mbit, delay=40ms, jitter=5ms, queue=250ms, trace=FILE, seed=1. What viewers send is left alone.
+    /// rate=5mbit, delay=40ms, jitter=5ms, queue=250ms, trace=FILE, light=40mbit/15kB/100ms (the first 15 kB
+    /// after a pause of 100 ms pass at 40 Mbit/s, as on cellular links), seed=1. What viewers send is left
+    /// alone.
     #[arg(long, value_name = "LINK")]
     pub impair: Option<String>,
+    /// Add a line of JSON to this file for every viewer that has left, at once: it outlives this process
+    /// however that ends. `viewers` of --json has the same rows, the newest of them.
+    #[arg(long, value_name = "FILE")]
+    pub log: Option<PathBuf>,
     /// Refuse viewers another scheduler and another emulated link. Otherwise each may ask for them in its own
     /// session, as the page's network panel does.
     #[arg(long)]
@@ -140,6 +146,10 @@ pub struct Play {
     /// Replace a folder of images that is there already.
     #[arg(long)]
     pub overwrite: bool,
+    /// Add a line of JSON to this file for every frame that is shown, at once: it outlives this process
+    /// however that ends. `report.shown` of --json has the same rows, the newest of them.
+    #[arg(long, value_name = "FILE")]
+    pub log: Option<PathBuf>,
     /// The file that is served: what was shown is compared with its complete frames (PSNR).
     #[arg(long, value_name = "FILE.dgs")]
     pub reference: Option<PathBuf>,

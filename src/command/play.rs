@@ -8,7 +8,7 @@ use codec_core::{
     internals::{ids::Level, wire::receipt::ViewerPose},
 };
 use dgs_player::StreamInfo;
-use dgs_quic::socket::{ClientConfig, Conditions, FrameSink, Granted, PlayReport, Scheme, play};
+use dgs_quic::socket::{ClientConfig, Conditions, FrameShown, FrameSink, Granted, PlayReport, Scheme, play};
 use render_host::metric;
 use serde::Serialize;
 use serde_json::json;
@@ -24,6 +24,7 @@ use super::{
 use crate::{
     args::Play,
     figures::{frozen, mean},
+    files::LineLog,
     output::VerbOutput,
     pictures::{PictureOutput, PictureRun, PictureWriter},
     pipeline::{self, Frames, Quiet, Watching},
@@ -42,6 +43,7 @@ struct States<'a> {
     next: u32,
     /// Frames of the file that what is shown is compared with.
     wanted: Option<u32>,
+    log: Option<LineLog>,
 }
 
 impl FrameSink for States<'_> {
@@ -67,6 +69,12 @@ impl FrameSink for States<'_> {
         match &self.watching {
             Some(Err(error)) => Err(format!("{error:#}")),
             _ => Ok(()),
+        }
+    }
+
+    fn shown(&mut self, frame: &FrameShown) {
+        if let Some(log) = &mut self.log {
+            log.add(frame);
         }
     }
 
@@ -125,10 +133,11 @@ pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
         duration: args.duration.map(Duration::from_secs_f64),
         ..ClientConfig::new(args.url.clone(), trust)
     };
+    let log = args.log.as_deref().map(LineLog::open).transpose()?;
     let draws = args.out.is_some() || reference.is_some();
     let (shown, newest) = (BTreeMap::new(), Arc::default());
     let wanted = reference.as_ref().map(Stream::receive).transpose()?.map(|whole| whole.info().frames);
-    let mut states = States { args, draws, shown, newest, watching: None, next: 0, wanted };
+    let mut states = States { args, draws, shown, newest, watching: None, next: 0, wanted, log };
     let played = runtime()?.block_on(async {
         match args.url.scheme {
             Scheme::Moq => relay::play(&config, &mut states, interruption()).await,

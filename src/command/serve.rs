@@ -29,6 +29,7 @@ use super::{
 use crate::{
     args::{Serve, ServerController},
     figures::counted,
+    files::LineLog,
     output::{self, VerbOutput},
     pipeline::{self, LiveReader, Quiet},
 };
@@ -80,6 +81,7 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
         None => Identity::self_signed(&[host.clone(), "localhost".to_owned()])
             .with_context(|| format!("--host is {host}"))?,
     };
+    let log = args.log.as_deref().map(LineLog::open).transpose()?;
     let offers = offers(args, quiet, &mut warnings)?;
     let limits = ServerLimits {
         max_viewers: args.max_viewers,
@@ -100,7 +102,7 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     };
     // At once: serving may take days.
     warnings.iter().for_each(|warning| output::print_status(&format!("warning: {warning}")));
-    let served = runtime()?.block_on(serve(args, &host, config, offers, quiet))?;
+    let served = runtime()?.block_on(serve((args, &host), config, offers, log, quiet))?;
     let Served { urls, page, report, viewers, http } = served;
     let text = summary(&report, http.as_ref());
     let json = json!({
@@ -163,10 +165,10 @@ struct Served {
 
 /// Serves until Ctrl-C.
 async fn serve(
-    args: &Serve,
-    host: &str,
+    (args, host): (&Serve, &str),
     config: ServerConfig,
     offers: Vec<ServedStream>,
+    mut log: Option<LineLog>,
     quiet: Quiet,
 ) -> Result<Served> {
     let mut streams: Vec<SiteStream> = offers.iter().map(site_stream).collect();
@@ -211,6 +213,9 @@ async fn serve(
     }
     let mut viewers = VecDeque::new();
     let ended = |viewer: &ViewerReport| {
+        if let Some(log) = &mut log {
+            log.add(viewer);
+        }
         if !quiet.0 {
             // Where nobody reads any more, serving goes on.
             let _ = output::print(&line(viewer));

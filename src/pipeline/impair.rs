@@ -6,8 +6,8 @@ use std::{path::Path, time::Duration};
 use anyhow::{Context, Result, bail, ensure};
 use dgs_quic::socket::{Impairment, ViewerLink};
 use emulator_host::{
-    Nanos, Rate,
-    link::{Capacity, LossModel, PathConfig, QueueLimit},
+    Bytes, Nanos, Rate,
+    link::{Capacity, LightLoad, LossModel, PathConfig, QueueLimit},
     trace::Replay,
 };
 
@@ -15,13 +15,15 @@ use super::recording::{Recording, read_recording};
 
 /// What is allowed, for errors.
 const ALLOWED: &str = "a trace file, or a list of loss=5%, burst=4, rate=5mbit, delay=40ms, jitter=5ms, \
-                       queue=250ms, trace=FILE, seed=1";
+                       queue=250ms, trace=FILE, light=40mbit/15kB/100ms, seed=1";
 /// The same of a link that a viewer asks for.
 const ALLOWED_TO_VIEWERS: &str = "a list of loss=5%, burst=4, rate=5mbit, delay=40ms, seed=1";
 /// The queue of a link without a rate of its own has nothing to wait for; one with a rate has this.
 const QUEUE: Nanos = Nanos::from_ms(250);
 const LOSSES: &str = "0% to 90%, such as 5% or 0.05";
 const TIMES: &str = "0ms to 60000ms";
+const LIGHT_LOADS: &str = "the rate of the first bytes after a pause, how many they are, and the pause: \
+                           1kbit to 100000mbit, 1kB to 1000000kB, 0ms to 60000ms";
 
 /// A link as it was described, and what to say about it.
 #[derive(Clone, Debug)]
@@ -40,7 +42,7 @@ pub(crate) struct Impaired {
 pub(crate) fn impairment(text: &str) -> Result<Impaired> {
     let mut path = PathConfig::unimpaired();
     let mut notes = Vec::new();
-    let keys = ["loss", "burst", "rate", "delay", "jitter", "queue", "trace", "seed"];
+    let keys = ["loss", "burst", "rate", "delay", "jitter", "queue", "trace", "light", "seed"];
     // Without a word it is the name of a trace, whatever that has in it.
     let words = match text.contains('=') {
         true => Words::parse(text, &keys, ALLOWED)?,
@@ -75,11 +77,16 @@ pub(crate) fn impairment(text: &str) -> Result<Impaired> {
         path.capacity = Capacity::Trace(capacity);
         (path.delay_trace, path.loss_trace) = (delays, loss);
     }
+    path.light = words.read("light", LIGHT_LOADS, light_load)?;
     let mean = match &path.capacity {
         Capacity::Unlimited => None,
         Capacity::Constant(rate) => Some(*rate),
         Capacity::Trace(trace) => Some(trace.mean_rate()),
     };
+    ensure!(
+        mean.is_some() || path.light.is_none(),
+        "--impair: light needs rate or trace: without them bursts are as fast as everything else"
+    );
     match mean {
         Some(mean) => path.queue = QueueLimit::lasting(queue.unwrap_or(QUEUE), mean),
         None => ensure!(queue.is_none(), "--impair: queue needs rate or trace: without them nothing waits"),
@@ -201,6 +208,18 @@ fn rate(text: &str, most: f64) -> Option<Rate> {
     (1e3..=most).contains(&rate).then_some(Rate(rate.round() as u64))
 }
 
+/// `40mbit/15kB/100ms`: rate, bytes and pause.
+fn light_load(text: &str) -> Option<LightLoad> {
+    let mut parts = text.split('/');
+    let (first, second, third) = (parts.next()?, parts.next()?, parts.next()?);
+    if parts.next().is_some() {
+        return None;
+    }
+    let kilobytes = second.strip_suffix("kB")?.parse::<f64>().ok()?;
+    let burst = (1.0..=1e6).contains(&kilobytes).then_some(Bytes((kilobytes * 1e3).round() as u64))?;
+    Some(LightLoad { rate: rate(first, 1e11)?, burst, pause: span(third)? })
+}
+
 /// `40ms`, up to a minute.
 fn span(text: &str) -> Option<Nanos> {
     let ms = text.strip_suffix("ms")?.parse::<f64>().ok()?;
@@ -219,6 +238,9 @@ mod tests {
         assert_eq!((path.delay, path.queue.bytes, seed), (Nanos::from_ms(40), 156_250, 7));
         let LossModel::GilbertElliott { enter_bad, leave_bad, .. } = path.loss else { panic!() };
         assert!((enter_bad / (enter_bad + leave_bad) - 0.05).abs() < 1e-12 && leave_bad == 0.25);
+        let path = impairment("rate=2mbit,light=40mbit/15kB/100ms").unwrap().impairment.path;
+        let (rate, burst, pause) = (Rate::from_mbps(40), Bytes(15_000), Nanos::from_ms(100));
+        assert_eq!(path.light, Some(LightLoad { rate, burst, pause }));
         let path = impairment("loss=0.1").unwrap().impairment.path;
         assert!(matches!((path.capacity, path.loss), (Capacity::Unlimited, LossModel::Iid(0.1))));
     }
@@ -272,6 +294,11 @@ mod tests {
             ("queue=9ms", "queue needs rate or trace"),
             ("delay=70000ms", "delay is 0ms to 60000ms"),
             ("rate=1bit", "rate is 1kbit to 100000mbit"),
+            ("light=40mbit/15kB/100ms", "light needs rate or trace"),
+            ("rate=1mbit,light=40mbit/15kB", "light is the rate of the first bytes after a pause"),
+            ("rate=1mbit,light=40mbit/15kB/1ms/2", "1kB to 1000000kB"),
+            ("rate=1mbit,light=40/15kB/1ms", "1kbit to 100000mbit"),
+            ("rate=1mbit,light=40mbit/0.5kB/1ms", "1kB to 1000000kB"),
         ] {
             let error = format!("{:#}", impairment(text).unwrap_err());
             assert!(error.contains(words), "{text}: {error}");

@@ -22,6 +22,8 @@ use crate::{
 const UPLINK: Rate = Rate::from_mbps(2);
 /// Mean number of datagrams lost in a row.
 const BURST: f64 = 4.0;
+/// Share of datagrams that the built-in link loses in bursts.
+const BUILT_IN_LOSS: f64 = 0.02;
 
 /// A link ready to use, and what to say about it.
 #[derive(Clone, Debug)]
@@ -72,7 +74,8 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
         .or_else(|| delay_trace.as_ref().map(|_| Nanos::ZERO))
         .or_else(|| trace.base_rtt().map(|rtt| Nanos(rtt.0 / 2)))
         .unwrap_or(Nanos::from_ms(30));
-    let burst_loss = args.burst_loss.unwrap_or(if loss_trace.is_some() { 0.0 } else { 0.02 });
+    // Over a recording the recording shows, and not what NewReno makes of losses that nobody recorded.
+    let burst_loss = args.burst_loss.unwrap_or(if args.trace.is_some() { 0.0 } else { BUILT_IN_LOSS });
     let name = match scale {
         1.0 => trace.name().to_owned(),
         scale => format!("{} × {}", trace.name(), number(scale)),
@@ -97,11 +100,15 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
 /// As [`impairment`].
 pub(crate) fn impaired_link(text: &str, args: &LinkArgs) -> Result<Link> {
     let Impaired { impairment: Impairment { path, seed }, notes } = impairment(text)?;
-    let name = match &path.capacity {
+    let mut name = match &path.capacity {
         Capacity::Unlimited => "a link without a limit of rate".to_owned(),
         Capacity::Constant(_) => "a constant rate".to_owned(),
         Capacity::Trace(trace) => trace.name().to_owned(),
     };
+    if let Some(light) = path.light {
+        let (kilobytes, rate) = (number(light.burst.0 as f64 / 1e3), rate_words(light.rate));
+        name += &format!(", {kilobytes} kB at {rate} after {} ms", number(light.pause.as_ms()));
+    }
     let loss = match path.loss {
         LossModel::None => "no loss".to_owned(),
         LossModel::Iid(share) => format!("loss {} %", percent(share)),
@@ -344,6 +351,9 @@ mod tests {
         let steady = file("steady", "1\n");
         let halved = link(&typed(&["--trace", &steady, "--scale", "0.5"]), &graph(30)).unwrap();
         assert_eq!(halved.trace().unwrap().mean_rate(), Rate::from_mbps(6));
+        assert_eq!(halved.config.forward.loss, LossModel::None);
+        let built_in = link(&typed(&[]), &graph(30)).unwrap();
+        assert_eq!(built_in.config.forward.loss, LossModel::in_bursts(BUILT_IN_LOSS, BURST));
         let rows = "Timestamp,DL_bitrate,UL_bitrate,State,PINGAVG\n2020.02.14_09.38.00,10,1,I,80\n\
                     2020.02.14_09.38.01,900,1,I,-\n";
         let logged = file("phone.csv", rows);

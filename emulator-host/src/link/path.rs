@@ -4,8 +4,8 @@
 //! datagram that is lost on the air has used the air.
 
 use super::{
-    Chain, ConstantRate, Delay, GilbertElliott, GilbertElliottParams, LinkBox, Loss, QueueLimit, Reorder,
-    TraceRate,
+    Chain, ConstantRate, Delay, GilbertElliott, GilbertElliottParams, LightLoad, LinkBox, Loss, QueueLimit,
+    Reorder, TraceRate,
 };
 use crate::{
     clock::{Bytes, Nanos, Rate},
@@ -135,6 +135,8 @@ pub struct Reordering {
 pub struct PathConfig {
     /// How fast.
     pub capacity: Capacity,
+    /// What a burst after a pause has before that, where `capacity` is that of a saturated link.
+    pub light: Option<LightLoad>,
     /// What may wait for capacity.
     pub queue: QueueLimit,
     /// Loss on the way.
@@ -156,6 +158,7 @@ impl Default for PathConfig {
     fn default() -> Self {
         Self {
             capacity: Capacity::Constant(Rate::from_mbps(5)),
+            light: None,
             queue: QueueLimit::default(),
             loss: LossModel::None,
             loss_trace: None,
@@ -183,6 +186,13 @@ impl PathConfig {
         Self { capacity: Capacity::Unlimited, delay: Nanos::ZERO, ..Self::default() }
     }
 
+    /// The most that it moves from the start until `time`: what its capacity does and, on top, all that
+    /// bursts could have.
+    pub(crate) fn bytes_until(&self, time: Nanos) -> Bytes {
+        let light = self.light.map_or(Bytes(0), |light| light.most_until(time));
+        Bytes(self.capacity.bytes_until(time).0.saturating_add(light.0))
+    }
+
     /// Fresh boxes with labels under `label`, each with its own stream of `seed`.
     ///
     /// # Errors
@@ -192,10 +202,12 @@ impl PathConfig {
         match &self.capacity {
             Capacity::Unlimited => {}
             Capacity::Constant(rate) => {
-                boxes.push(Box::new(ConstantRate::new(format!("{label}/rate"), *rate, self.queue)));
+                let label = format!("{label}/rate");
+                boxes.push(Box::new(ConstantRate::after_bursts(label, *rate, self.queue, self.light)));
             }
             Capacity::Trace(trace) => {
-                boxes.push(Box::new(TraceRate::new(format!("{label}/trace-rate"), trace, self.queue)));
+                let label = format!("{label}/trace-rate");
+                boxes.push(Box::new(TraceRate::after_bursts(label, trace, self.queue, self.light)));
             }
         }
         match self.loss {

@@ -2,6 +2,7 @@
 
 use super::{
     Counts, Datagram, LinkBox, QueueLimit,
+    light_load::{LightFirst, LightLoad},
     serialiser::{Serialiser, Service},
 };
 use crate::clock::{Bytes, Nanos, Rate};
@@ -10,13 +11,24 @@ use crate::clock::{Bytes, Nanos, Rate};
 #[derive(Debug)]
 pub struct ConstantRate {
     label: String,
-    inner: Serialiser<Constant>,
+    inner: Serialiser<LightFirst<Constant>>,
 }
 
 impl ConstantRate {
     /// At rate zero nothing ever leaves.
     pub fn new(label: impl Into<String>, rate: Rate, limit: QueueLimit) -> Self {
-        Self { label: label.into(), inner: Serialiser::new(Constant { rate, free: Nanos::ZERO }, limit) }
+        Self::after_bursts(label, rate, limit, None)
+    }
+
+    /// The same after what bursts have.
+    pub(super) fn after_bursts(
+        label: impl Into<String>,
+        rate: Rate,
+        limit: QueueLimit,
+        light: Option<LightLoad>,
+    ) -> Self {
+        let service = LightFirst::new(Constant { rate, free: Nanos::ZERO }, light);
+        Self { label: label.into(), inner: Serialiser::new(service, limit) }
     }
 }
 

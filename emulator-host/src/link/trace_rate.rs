@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use super::{
     Counts, Datagram, LinkBox, QueueLimit,
+    light_load::{LightFirst, LightLoad},
     serialiser::{Serialiser, Service},
 };
 use crate::{
@@ -25,13 +26,23 @@ pub struct TraceRate {
 
 #[derive(Debug)]
 enum Inner {
-    Opportunities(Serialiser<Opportunities>),
-    Steps(Serialiser<Steps>),
+    Opportunities(Serialiser<LightFirst<Opportunities>>),
+    Steps(Serialiser<LightFirst<Steps>>),
 }
 
 impl TraceRate {
     /// Starts at the beginning of `trace`; use [`Trace::window`] to start elsewhere.
     pub fn new(label: impl Into<String>, trace: &Trace, limit: QueueLimit) -> Self {
+        Self::after_bursts(label, trace, limit, None)
+    }
+
+    /// The same after what bursts have.
+    pub(super) fn after_bursts(
+        label: impl Into<String>,
+        trace: &Trace,
+        limit: QueueLimit,
+        light: Option<LightLoad>,
+    ) -> Self {
         let inner = match trace.shape() {
             Shape::Opportunities(at) => {
                 let service = Opportunities {
@@ -42,11 +53,11 @@ impl TraceRate {
                     left: 0,
                     now: Nanos::ZERO,
                 };
-                Inner::Opportunities(Serialiser::new(service, limit))
+                Inner::Opportunities(Serialiser::new(LightFirst::new(service, light), limit))
             }
             Shape::Steps(steps) => {
                 let service = Steps::new(Arc::clone(steps), trace.period());
-                Inner::Steps(Serialiser::new(service, limit))
+                Inner::Steps(Serialiser::new(LightFirst::new(service, light), limit))
             }
         };
         Self { label: label.into(), inner }

@@ -18,9 +18,12 @@
 //! are done, after [`DeadlineUtilityPaperConfig::refresh`], or when something in it died. A group once begun
 //! is finished first.
 //!
-//! A flat utility table carries no order, and the policy then *is* the conventional one ([`Dependency`]).
+//! A flat utility table leaves P_g · U_g ÷ bytes: the score holds as it is. That is not the order of
+//! [`super::Dependency`]: P_g is larger for later frames, so that of two groups of one size the later one
+//! comes first (11 % of the pairs of a test are out of order). The default scheduler's score has the urgency
+//! that the conventional order needs (1.6 %).
 
-use super::{Dependency, PacketStatus, Scheduler, SenderView, first_of_closure, probability::mean_arrival};
+use super::{PacketStatus, Scheduler, SenderView, first_of_closure, probability::mean_arrival};
 use crate::{
     clock::Nanos,
     graph::{ClosureRule, GroupIndex, PacketGraph, PacketIndex},
@@ -47,7 +50,6 @@ impl Default for DeadlineUtilityPaperConfig {
 #[derive(Debug)]
 pub struct DeadlineUtilityPaper {
     config: DeadlineUtilityPaperConfig,
-    flat: Option<Dependency>,
     tallies: Vec<Tally>,
     /// Groups by (first frame, index), and how many of them have come within the horizon.
     by_time: Vec<GroupIndex>,
@@ -93,7 +95,6 @@ impl DeadlineUtilityPaper {
         by_time.sort_by_key(|index| (graph.groups()[index.at()].first_frame, *index));
         Self {
             config,
-            flat: graph.risk_adjusted_is_flat().then(|| Dependency::new(graph)),
             tallies,
             by_time,
             entered: 0,
@@ -260,9 +261,6 @@ impl Scheduler for DeadlineUtilityPaper {
     }
 
     fn next(&mut self, view: &SenderView<'_>, now: Nanos) -> Option<PacketIndex> {
-        if let Some(flat) = &mut self.flat {
-            return flat.next(view, now);
-        }
         let mut fresh = false;
         loop {
             if let Some(packet) = self.go_on(view, now) {
@@ -281,9 +279,6 @@ impl Scheduler for DeadlineUtilityPaper {
     }
 
     fn on_status(&mut self, graph: &PacketGraph, packet: PacketIndex, change: [PacketStatus; 2]) {
-        if let Some(flat) = &mut self.flat {
-            return flat.on_status(graph, packet, change);
-        }
         let [before, after] = change;
         let bytes = u32::from(graph.wire_bytes(packet));
         for group in graph.groups_of(packet) {

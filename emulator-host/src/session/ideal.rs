@@ -21,14 +21,15 @@ use crate::{
     graph::PacketGraph,
     link::{BoxOutput, Chain, Datagram, LinkBox, LossModel, PathConfig},
     policy::Scheduler,
-    receiver::GraphReceiver,
+    receiver::Endpoint,
     report::Report,
 };
 
 /// How far ahead the link's true rate is taken.
 const AHEAD: Nanos = Nanos::from_s(1);
 
-/// Runs `graph` under `config` with `scheduler`; of the path forward only capacity and delay count.
+/// Runs `graph` under `config` with `scheduler` into `endpoint`; of the path forward only capacity and delay
+/// count.
 ///
 /// # Errors
 /// [`SessionError`] if the configuration is illegal.
@@ -36,18 +37,19 @@ pub fn run_ideal(
     graph: &PacketGraph,
     config: &SessionConfig,
     scheduler: &mut dyn Scheduler,
+    endpoint: &mut dyn Endpoint,
 ) -> Result<Report, SessionError> {
     config.check()?;
     let bare = PathConfig {
         queue: config.forward.queue,
         capacity: config.forward.capacity.clone(),
+        light: config.forward.light,
         delay: Nanos::ZERO,
         loss: LossModel::None,
         ..PathConfig::default()
     };
     let [forward, reverse] = SessionConfig { forward: bare, ..config.clone() }.paths()?;
-    let mut endpoint = GraphReceiver::new(graph, config.buffer_limit);
-    let viewer = Viewer::new(graph, config, &mut endpoint);
+    let viewer = Viewer::new(graph, config, endpoint);
     let path = facts(config, Nanos::ZERO);
     let mut ideal = Ideal {
         config,
@@ -170,7 +172,7 @@ impl Ideal<'_> {
 mod tests {
     use super::*;
     use crate::{
-        PolicyKind,
+        GraphReceiver, PolicyKind,
         bound::upper_bound,
         graph::Synthetic,
         session::{Startup, StartupRule},
@@ -190,12 +192,17 @@ mod tests {
         (graph, SessionConfig { startup, forward, ..SessionConfig::default() })
     }
 
+    fn ideal(graph: &PacketGraph, config: &SessionConfig, policy: PolicyKind) -> Report {
+        let mut receiver = GraphReceiver::new(graph, config.buffer_limit);
+        run_ideal(graph, config, &mut *policy.build(graph), &mut receiver).unwrap()
+    }
+
     #[test]
     fn it_stands_between_the_run_and_the_bound() {
         let (graph, config) = narrow();
         let policy = PolicyKind::DeadlineUtility;
         let real = simulate(&graph, &SessionConfig { policy, ..config.clone() }).unwrap();
-        let ideal = run_ideal(&graph, &config, &mut *policy.build(&graph)).unwrap();
+        let ideal = ideal(&graph, &config, policy);
         let bound = upper_bound(&graph, &config.forward, Nanos::from_s(1), 800);
         assert!(real.utility < ideal.utility, "{} {}", real.utility, ideal.utility);
         assert!(ideal.utility < bound.utility, "{} {bound:?}", ideal.utility);
@@ -205,7 +212,7 @@ mod tests {
     #[test]
     fn the_link_is_never_idle_while_there_is_something_to_send_and_never_queues() {
         let (graph, config) = narrow();
-        let report = run_ideal(&graph, &config, &mut *PolicyKind::Layered.build(&graph)).unwrap();
+        let report = ideal(&graph, &config, PolicyKind::Layered);
         let link = report.boxes[0].counts;
         let moved = config.forward.capacity.bytes_until(report.duration_ns);
         assert_eq!(link.dropped.datagrams, 0);

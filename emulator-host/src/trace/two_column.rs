@@ -115,6 +115,14 @@ mod tests {
         assert_eq!(warnings("0 3.1\n1 2.7\n2 3.0\n3 2\n"), "");
         assert!(warnings("0 3.1\n1000 2.7\n2000 3.0\n").contains("looks like milliseconds"));
         assert!(warnings("0 3100\n1 2700\n2 3000\n").contains("looks like kbit/s"));
+        let rows = |count: usize, step: usize, rate: &str| -> String {
+            (0..count).map(|row| format!("{} {rate}\n", row * step)).collect()
+        };
+        assert!(warnings(&rows(12, 20, "3.1")).contains("rows are 20 s apart"));
+        assert!(warnings(&rows(12, 1, "300")).contains("the rate is 300 Mbit/s"));
+        for fine in [rows(12, 5, "3.1"), rows(3, 20, "3.1"), rows(12, 1, "300.5"), rows(3, 1, "300")] {
+            assert_eq!(warnings(&fine), "");
+        }
         let both = warnings("0 3100\n1000 2700\n2000 3000\n");
         assert!(
             both.starts_with("rows are 1000 s apart") && both.contains("the rate is 3000 Mbit/s"),

@@ -180,6 +180,12 @@ pub const ALL: &[Experiment] = &[
         run: transport::run,
     },
     Experiment {
+        name: "workloads",
+        about: "schedulers over streams of 1 s to 3 min and 0.05 to 5 Mbit/s, on recordings that nothing was \
+            chosen on",
+        run: transport::workloads::run,
+    },
+    Experiment {
         name: "serve",
         about: "viewers at once over loopback at 50 Mbit/s: goodput, loss, processor time, memory, startup",
         run: serve::run,

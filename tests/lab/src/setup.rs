@@ -102,6 +102,12 @@ pub fn load(path: &Path, samples: usize) -> Result<Scene> {
     Ok(pipeline::import(&path.to_string_lossy(), &scene_args(samples))?.scene)
 }
 
+/// A clip of an animated mesh of the data folder, by name or number.
+pub(crate) fn load_clip(path: &Path, samples: usize, clip: &str) -> Result<Scene> {
+    let args = SceneArgs { clip: Some(clip.to_owned()), ..scene_args(samples) };
+    Ok(pipeline::import(&path.to_string_lossy(), &args)?.scene)
+}
+
 /// A synthetic scene.
 pub fn synth(kind: &str, gaussians: usize, frames: usize) -> Result<Scene> {
     Ok(pipeline::import(&format!("synth:{kind}:{gaussians}:{frames}"), &scene_args(gaussians))?.scene)

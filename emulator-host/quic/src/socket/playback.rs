@@ -414,6 +414,7 @@ impl Playback {
                 levels: levels(&usable.canonical, usable.blocks),
                 motion_levels: levels(&usable.motion, usable.blocks),
             };
+            screen.shown(&shown);
             self.seen.show(shown, &mut self.report);
             screen.show(player, frame).map_err(PlayError::Nonsense)?;
             if self.grows {

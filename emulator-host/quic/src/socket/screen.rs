@@ -15,6 +15,9 @@ pub trait FrameSink {
     /// What makes it pointless to go on.
     fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String>;
 
+    /// What [`Self::show`] is about to show, once per frame.
+    fn shown(&mut self, _frame: &FrameShown) {}
+
     /// The manifest has come: a DGSM message, which was taken.
     fn manifest(&mut self, _message: &[u8]) {}
 

@@ -17,6 +17,7 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
+pub(super) use self::photographs::trained;
 use crate::setup::{Setup, synth};
 
 /// Mean length of a burst of lost packets.

@@ -9,6 +9,7 @@ mod pictures;
 mod schedulers;
 mod viewport;
 mod watched;
+pub(super) mod workloads;
 
 use anyhow::Result;
 

@@ -6,7 +6,7 @@ use anyhow::Result;
 use trainer_host::{
     Scene,
     encode::{self, EncodeOptions},
-    train::{self, PosedPhotograph, TrainOptions, Trainer, Views, delivery::Reference},
+    train::{self, Dataset, PosedPhotograph, TrainOptions, Trainer, Views, delivery::Reference},
 };
 
 use super::{Size, Study};
@@ -28,18 +28,7 @@ impl Study {
     /// # Errors
     /// What the dataset, the training or the encoder refuses.
     pub(in crate::experiment) fn of_photographs(path: &Path, size: Size) -> Result<Self> {
-        let dataset = train::dataset::read(path)?;
-        let options = TrainOptions {
-            max_side: SIDE,
-            background: WHITE,
-            max_gaussians: GAUSSIANS,
-            ..TrainOptions::default()
-        };
-        let mut trainer = Trainer::new(&dataset, &options)?;
-        while trainer.steps() < STEPS {
-            trainer.step(f64::from(trainer.steps()) / f64::from(STEPS))?;
-        }
-        let scene = trainer.model().scene(dataset.frames, 30.0)?;
+        let (dataset, scene) = trained(path)?;
         let training = references(&scene, &dataset.train.sample(TRAINING))?;
         let test = references(&scene, &dataset.test.sample(TEST))?;
         let coding = EncodeOptions::default();
@@ -62,6 +51,26 @@ impl Study {
             self.size.worlds
         )
     }
+}
+
+/// The dataset at `path`, and the scene that a short training makes of it.
+///
+/// # Errors
+/// What the dataset or the training refuses.
+pub(in crate::experiment) fn trained(path: &Path) -> Result<(Dataset, Scene)> {
+    let dataset = train::dataset::read(path)?;
+    let options = TrainOptions {
+        max_side: SIDE,
+        background: WHITE,
+        max_gaussians: GAUSSIANS,
+        ..TrainOptions::default()
+    };
+    let mut trainer = Trainer::new(&dataset, &options)?;
+    while trainer.steps() < STEPS {
+        trainer.step(f64::from(trainer.steps()) / f64::from(STEPS))?;
+    }
+    let scene = trainer.model().scene(dataset.frames, 30.0)?;
+    Ok((dataset, scene))
 }
 
 /// Photographs as pictures of frames of `scene` over white.

@@ -26,6 +26,21 @@ const FILES: [(&str, &str); 12] = [
     ("oboe", "broadband_merina/oboe/oboe_trace_24.txt"),
     ("puffer", "broadband_merina/puffer/traceqlR-8J7X0pokdh-1du6gTz2WWgygH2P4X-SuTVinEVA=_3"),
 ];
+/// The same of recordings that nothing was chosen on: no setting of a scheduler, a controller or a receiver.
+const HELD_OUT: [(&str, &str); 12] = [
+    ("ucc5g", "ucc5g/driving/B_2020.02.27_20.35.57.csv"),
+    ("ucc5g", "ucc5g/static/B_2020.02.14_13.21.26.csv"),
+    ("mahimahi", "mahimahi_lte/TMobile-LTE-short.down"),
+    ("mahimahi", "mahimahi_lte/Verizon-LTE-short.up"),
+    ("wifi", "wireless_zhuge/office-wifi_7.pitree-trace"),
+    ("wifi", "wireless_zhuge/rest-wifi_11.pitree-trace"),
+    ("cellular", "wireless_zhuge/abc4g_12.pitree-trace"),
+    ("cellular 5G", "wireless_zhuge/xu5g_2.pitree-trace"),
+    ("hsdpa", "broadband_merina/hsdpa/norway_bus_4"),
+    ("fcc", "broadband_merina/fcc/bus.ljansbakken-oslo-report.2010-09-29_1827CEST.log"),
+    ("oboe", "broadband_merina/oboe/oboe_trace_351.txt"),
+    ("puffer", "broadband_merina/puffer/trace226vcF9QZ1rH48UM0D3ItEoCuwaukap5f0D5+qx1RuA=_0"),
+];
 /// Stream bytes over what the link carries until the clip is over.
 pub(super) const LOAD: f64 = 1.6;
 /// Shortest and longest wait before playout, seconds: the longest is what players wait by default.
@@ -44,16 +59,29 @@ pub(super) struct Channel {
 /// # Errors
 /// A trace that cannot be read.
 pub(super) fn all(setup: &Setup, bench: &mut Bench) -> Result<Vec<Channel>> {
-    let mut channels = families(setup, bench)?;
+    let mut channels = read(&FILES, setup, bench)?;
     channels.push(Channel { family: "made", trace: Trace::bursty(5, Nanos::from_s(120)) });
     channels.push(Channel { family: "made", trace: outages()? });
     channels.push(Channel { family: "constant", trace: constant()? });
     Ok(channels)
 }
 
-fn families(setup: &Setup, bench: &mut Bench) -> Result<Vec<Channel>> {
+/// Measured traces that nothing was chosen on, as far as they are here; without any, made ones.
+///
+/// # Errors
+/// A trace that cannot be read.
+pub(super) fn held_out(setup: &Setup, bench: &mut Bench) -> Result<Vec<Channel>> {
+    let mut channels = read(&HELD_OUT, setup, bench)?;
+    if channels.is_empty() {
+        channels.push(Channel { family: "made", trace: Trace::bursty(11, Nanos::from_s(120)) });
+        channels.push(Channel { family: "made", trace: Trace::bursty(12, Nanos::from_s(120)) });
+    }
+    Ok(channels)
+}
+
+fn read(files: &[(&'static str, &str)], setup: &Setup, bench: &mut Bench) -> Result<Vec<Channel>> {
     let mut channels = Vec::new();
-    for (family, file) in FILES {
+    for &(family, file) in files {
         if let Some(path) = setup.data(&format!("traces/{file}"), bench)? {
             channels.push(Channel { family, trace: pipeline::read_trace(&path)? });
         }
@@ -66,7 +94,7 @@ fn families(setup: &Setup, bench: &mut Bench) -> Result<Vec<Channel>> {
 /// # Errors
 /// A trace that cannot be read.
 pub(in crate::experiment) fn measured(setup: &Setup, bench: &mut Bench) -> Result<Vec<Trace>> {
-    Ok(families(setup, bench)?.into_iter().map(|channel| channel.trace).collect())
+    Ok(read(&FILES, setup, bench)?.into_iter().map(|channel| channel.trace).collect())
 }
 
 /// Five seconds at full rate, one without any.

@@ -3,9 +3,12 @@
 use anyhow::Result;
 use dgs::{
     args::{ProfileName, TransportName},
+    delivery::{ShownState, WireEndpoint},
     pipeline,
 };
-use emulator_host::{PacketGraph, PolicyKind, bound::upper_bound, session::run_ideal};
+use emulator_host::{
+    Nanos, PacketGraph, PolicyKind, Report, SessionConfig, bound::upper_bound, session::run_ideal,
+};
 use rayon::prelude::*;
 use render_host::{Backend, Camera, Image, Settings, metric::Lpips};
 use trainer_host::{
@@ -79,7 +82,7 @@ pub(super) fn run(bench: &mut Bench, setup: &Setup, channels: &[Channel]) -> Res
 }
 
 /// What stays the same over the runs of one stream.
-struct Study {
+pub(super) struct Study {
     stream: Stream,
     map: PacketMap,
     graph: PacketGraph,
@@ -90,24 +93,85 @@ struct Study {
 }
 
 impl Study {
-    fn make(scene: &Scene, setup: &Setup) -> Result<Self> {
+    /// `scene` as a stream, of which `pictures` frames are rated.
+    pub(super) fn make(scene: &Scene, setup: &Setup, pictures: usize) -> Result<Self> {
         let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::STANDARD);
         let stream = pipeline::encode(scene, &options, setup.quiet)?.stream;
         let map = PacketMap::of(&stream)?;
         let table = schedulers::utilities(scene, &stream, &map, setup)?;
         let graph = pipeline::graph(&stream, &map, Some(&table))?;
         let camera = Framing::of(scene).ring(Ring::HeldOut, 1, (SIDE, SIDE))?.remove(0);
-        let frames = Frames::new(&spread(scene.frames(), size(setup).pictures), scene.frames() as u32);
+        let frames = Frames::new(&spread(scene.frames(), pictures), scene.frames() as u32);
         let settings = Settings::default();
         let references = evaluator::references(scene, &frames.all, &camera, &settings, &Backend::Cpu)?;
         let network = watched::network(setup)?;
         Ok(Self { stream, map, graph, camera, frames, references, network })
     }
 
+    /// Bytes of the stream, parity included, and the length of its clip.
+    pub(super) fn extent(&self) -> (u64, Nanos) {
+        let graph = &self.graph;
+        (graph.total_bytes(), graph.frame_interval().times(u64::from(graph.frames())))
+    }
+
+    /// What every scheduler shows in `windows` windows of every channel.
+    ///
+    /// # Errors
+    /// A window that cannot be cut, or what delivering and rendering refuse.
+    pub(super) fn compare(&self, channels: &[Channel], windows: usize) -> Result<Vec<Limited>> {
+        self.each_window(channels, windows, |place, session, bound| {
+            let runs: Result<Vec<Seen>> = POLICIES.iter().map(|policy| self.see(session, *policy)).collect();
+            Ok((Window { runs: runs?, ..place }, Limits { bound, ideal: self.see_ideal(session)? }))
+        })
+    }
+
+    /// `run` in every window whose link is not dead: given the window's place without runs, its session, and
+    /// the most utility that is possible there.
+    fn each_window<T: Send, R>(
+        &self,
+        channels: &[Channel],
+        windows: usize,
+        run: impl Fn(Window<R>, &SessionConfig, f64) -> Result<T> + Sync,
+    ) -> Result<Vec<T>> {
+        let jobs: Vec<(usize, usize)> =
+            (0..channels.len()).flat_map(|trace| (0..windows).map(move |window| (trace, window))).collect();
+        let results: Result<Vec<Option<T>>> = jobs
+            .par_iter()
+            .map(|(trace, window)| {
+                let seed = 77_000 + 1000 * *trace as u64 + *window as u64;
+                let channel = &channels[*trace];
+                let Some(session) = channel.session(&self.graph, (*window, windows), seed, 0.01)? else {
+                    return Ok(None);
+                };
+                let bound = upper_bound(&self.graph, &session.forward, start(&self.graph), 1500).utility;
+                if bound < MIN_BOUND {
+                    return Ok(None);
+                }
+                let place = Window { family: channel.family, trace: *trace, runs: Vec::new() };
+                run(place, &session, bound).map(Some)
+            })
+            .collect();
+        Ok(results?.into_iter().flatten().collect())
+    }
+
     /// Delivers over one link and renders what was shown.
-    fn see(&self, session: &emulator_host::SessionConfig, policy: PolicyKind) -> Result<Seen> {
+    fn see(&self, session: &SessionConfig, policy: PolicyKind) -> Result<Seen> {
         let (report, states) =
             pipeline::deliver(&self.stream, &self.map, &self.graph, session, policy, TransportName::Model)?;
+        self.rate(&report, &states)
+    }
+
+    /// The same of our plan over a transport that fills the link and loses nothing.
+    fn see_ideal(&self, session: &SessionConfig) -> Result<Seen> {
+        let early_bytes = session.buffer_limit * codec_core::internals::limits::MAX_PACKET_BYTES;
+        let mut endpoint = WireEndpoint::new(early_bytes, &self.stream, &self.map, &self.graph)?;
+        let mut plan = POLICIES[OURS].build(&self.graph);
+        let report = run_ideal(&self.graph, session, &mut *plan, &mut endpoint)?;
+        self.rate(&report, &endpoint.shown)
+    }
+
+    /// Renders the `states` that were shown in a run.
+    fn rate(&self, report: &Report, states: &[ShownState]) -> Result<Seen> {
         let received = self.stream.receive()?;
         let state_of = |frame: u32| states.iter().find(|state| state.frame == frame);
         let shown: Vec<(u32, Option<&[u8]>)> = self
@@ -119,62 +183,43 @@ impl Study {
         let settings = Settings::default();
         let images = evaluator::renders(&received.content(), &shown, &self.camera, &settings, &Backend::Cpu)?;
         let pictures = (&images[..], &self.references[..]);
-        Seen::new(&report, &self.frames, pictures, (self.graph.frame_interval(), self.network.as_ref()))
+        Seen::new(report, &self.frames, pictures, (self.graph.frame_interval(), self.network.as_ref()))
     }
 }
 
 /// What limits one window: the most that any schedule shows, and what our plan shows over a transport that
 /// fills the link and loses nothing.
 #[derive(Clone, Copy, Debug)]
-struct Limits {
+pub(super) struct Limits {
     bound: f64,
-    ideal: f64,
+    ideal: Seen,
 }
 
 /// A window and what limits it.
-type Limited = (Window<Seen>, Limits);
-
-/// The same, and what the default scheduler does without its parts.
-type Measured = (Limited, Window<ablations::Ablated>);
+pub(super) type Limited = (Window<Seen>, Limits);
 
 fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, scene: &Scene) -> Result<()> {
-    let study = Study::make(scene, setup)?;
-    let windows = size(setup).windows;
-    let jobs: Vec<(usize, usize)> =
-        (0..channels.len()).flat_map(|trace| (0..windows).map(move |w| (trace, w))).collect();
-    let results: Result<Vec<Option<Measured>>> = jobs
-        .par_iter()
-        .map(|(trace, window)| {
-            let seed = 77_000 + 1000 * *trace as u64 + *window as u64;
-            let channel = &channels[*trace];
-            let Some(session) = channel.session(&study.graph, (*window, windows), seed, 0.01)? else {
-                return Ok(None);
-            };
-            let bound = upper_bound(&study.graph, &session.forward, start(&study.graph), 1500).utility;
-            if bound < MIN_BOUND {
-                return Ok(None);
-            }
-            let mut plan = POLICIES[OURS].build(&study.graph);
-            let ideal = run_ideal(&study.graph, &session, &mut *plan)?.utility;
-            let runs: Result<Vec<Seen>> =
-                POLICIES.iter().map(|policy| study.see(&session, *policy)).collect();
-            let (family, trace) = (channel.family, *trace);
-            let without = Window { family, trace, runs: ablations::runs(&study.graph, &session)? };
-            let window = Window { family, trace, runs: runs? };
-            Ok(Some(((window, Limits { bound, ideal }), without)))
-        })
-        .collect();
-    let (results, without): (Vec<Limited>, Vec<_>) = results?.into_iter().flatten().unzip();
-    let windows: Vec<Window<Seen>> = results.iter().map(|(window, _)| window.clone()).collect();
-    push_rows(bench, name, &windows);
-    push_limits(bench, name, &results);
+    let Size { windows, pictures, .. } = size(setup);
+    let study = Study::make(scene, setup, pictures)?;
+    let results = study.compare(channels, windows)?;
+    push(bench, &format!("pictures.{name}"), &results);
+    let without = study.each_window(channels, windows, |place, session, _| {
+        Ok(Window { runs: ablations::runs(&study.graph, session)?, ..place })
+    })?;
     ablations::push(bench, name, &without);
     Ok(())
 }
 
-fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>]) {
+/// Adds all rows of one stream, their keys after `key`.
+pub(super) fn push(bench: &mut Bench, key: &str, results: &[Limited]) {
+    let windows: Vec<Window<Seen>> = results.iter().map(|(window, _)| window.clone()).collect();
+    push_rows(bench, key, &windows);
+    push_limits(bench, key, results);
+}
+
+fn push_rows(bench: &mut Bench, prefix: &str, windows: &[Window<Seen>]) {
     let mut push = |key: String, (value, ci): (f64, [f64; 2]), unit: &str| {
-        let mut figure = Figure::new(format!("pictures.{stream}.{key}"), value, unit).runs(windows.len());
+        let mut figure = Figure::new(format!("{prefix}.{key}"), value, unit).runs(windows.len());
         figure.ci95 = Some(ci);
         bench.push(figure);
     };
@@ -215,13 +260,13 @@ fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>]) {
         push(format!("deadline-utility.less_{name}.base_miss"), mean(&missed), "%, paired");
     }
     for (at, policy) in POLICIES.iter().enumerate().filter(|(at, _)| *at != OURS) {
-        push_families(bench, windows, &format!("pictures.{stream}.deadline-utility"), (at, policy.name()));
+        push_families(bench, windows, &format!("{prefix}.deadline-utility"), (at, policy.name()));
     }
     let runs = || windows.iter().flat_map(|window| &window.runs);
     let utility: Vec<f64> = runs().map(|run| run.utility).collect();
     let negative: Vec<f64> = runs().map(|run| -run.distortion).collect();
     let correlation = rank_correlation(&utility, &negative);
-    let figure = Figure::new(format!("pictures.{stream}.rank_correlation"), correlation, "Spearman");
+    let figure = Figure::new(format!("{prefix}.rank_correlation"), correlation, "Spearman");
     bench.push(figure.runs(utility.len()));
 }
 
@@ -243,17 +288,22 @@ fn push_families(bench: &mut Bench, windows: &[Window<Seen>], key: &str, (at, na
 }
 
 /// From the bound down to `layered`: where the distance goes.
-fn push_limits(bench: &mut Bench, stream: &str, windows: &[Limited]) {
+fn push_limits(bench: &mut Bench, prefix: &str, windows: &[Limited]) {
     let utilities = |(window, limits): &Limited| Window {
         family: window.family,
         trace: window.trace,
-        runs: vec![limits.bound, limits.ideal, window.runs[OURS].utility, window.runs[LAYERED].utility],
+        runs: vec![
+            limits.bound,
+            limits.ideal.utility,
+            window.runs[OURS].utility,
+            window.runs[LAYERED].utility,
+        ],
     };
     let all: Vec<Window<f64>> = windows.iter().map(utilities).collect();
     let live: Vec<Window<f64>> =
         windows.iter().filter(|(_, limits)| limits.bound >= LIVE).map(utilities).collect();
     let mut push = |key: &str, (value, ci): (f64, [f64; 2]), unit: &str, of: usize| {
-        let mut figure = Figure::new(format!("pictures.{stream}.{key}"), value, unit).runs(of);
+        let mut figure = Figure::new(format!("{prefix}.{key}"), value, unit).runs(of);
         figure.ci95 = Some(ci);
         bench.push(figure);
     };
@@ -275,6 +325,26 @@ fn push_limits(bench: &mut Bench, stream: &str, windows: &[Limited]) {
     let words = format!("{part}, in windows whose bound is above {LIVE}");
     push("deadline-utility.share_live", of_live, &words, live.len());
     push("deadline-utility.share", of_all(&Steps::share), part, all.len());
+    // D has no bound; what is known to be reachable over the same link without losses stands in for it.
+    let distortions: Vec<Window<f64>> = windows
+        .iter()
+        .map(|(window, limits)| {
+            let distortion = |seen: &Seen| seen.distortion;
+            let shown = [limits.ideal, window.runs[OURS], window.runs[LAYERED]].map(|seen| distortion(&seen));
+            Window { family: window.family, trace: window.trace, runs: shown.to_vec() }
+        })
+        .collect();
+    let mean = |drawn: &[&Window<f64>], at: usize| {
+        drawn.iter().map(|window| window.runs[at]).sum::<f64>() / drawn.len() as f64
+    };
+    let ideal = clustered(&distortions, &|drawn| 1000.0 * mean(drawn, 0));
+    push("deadline-utility.ideal_transport.distortion", ideal, "x 10^-3", all.len());
+    let share = clustered(&distortions, &|drawn| {
+        let [ideal, ours, layered] = [0, 1, 2].map(|at| mean(drawn, at));
+        100.0 * (layered - ours) / (layered - ideal)
+    });
+    let words = "% of the distance in D from layered to our plan where nothing is lost";
+    push("deadline-utility.distortion_share", share, words, all.len());
 }
 
 /// Mean utilities from the bound downwards.

@@ -73,6 +73,7 @@ pub(super) fn run(bench: &mut Bench, setup: &Setup) -> Result<()> {
             for controller in [ControllerName::Newreno, ControllerName::BbrModel] {
                 let mut args = link_args(path.clone());
                 args.controller = controller;
+                args.burst_loss = Some(0.02);
                 let whole = pipeline::link(&args, &graph)?;
                 let trace = whole.trace().context("a link that follows a trace")?;
                 if scaled && path.is_some() {

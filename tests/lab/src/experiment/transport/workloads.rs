@@ -1,0 +1,146 @@
+//! Compares schedulers over streams of many lengths and rates, on recordings that nothing was chosen on.
+
+use anyhow::Result;
+use trainer_host::Scene;
+
+use super::{channels, pictures};
+use crate::{
+    experiment::delivery::trained,
+    figures::{Bench, Figure},
+    setup::{Setup, load_clip, synth},
+};
+
+/// Where the scene of a workload comes from.
+enum Source {
+    /// A made scene: kind and frames.
+    Made(&'static str, usize),
+    /// A clip of an animated mesh in the data folder: file and clip.
+    Mesh(&'static str, &'static str),
+    /// A dataset of photographs in the data folder, trained here.
+    Trained(&'static str),
+}
+
+/// A stream to deliver.
+struct Workload {
+    name: &'static str,
+    source: Source,
+    gaussians: usize,
+    /// Windows of every trace.
+    windows: usize,
+    quick: bool,
+}
+
+const FOX: &str = "scenes/gltf-fox/Fox.glb";
+
+/// Streams of 1 s to 3 min. Their rates follow from what they show and are printed.
+const WORKLOADS: [Workload; 9] = [
+    Workload {
+        name: "fox_run",
+        source: Source::Mesh(FOX, "Run"),
+        gaussians: 20_000,
+        windows: 2,
+        quick: true,
+    },
+    Workload {
+        name: "fox_walk",
+        source: Source::Mesh(FOX, "Walk"),
+        gaussians: 20_000,
+        windows: 2,
+        quick: false,
+    },
+    Workload {
+        name: "cesium_man",
+        source: Source::Mesh("scenes/gltf-cesium-man/CesiumMan.glb", "0"),
+        gaussians: 30_000,
+        windows: 2,
+        quick: false,
+    },
+    Workload {
+        name: "fox_survey_dense",
+        source: Source::Mesh(FOX, "Survey"),
+        gaussians: 100_000,
+        windows: 2,
+        quick: false,
+    },
+    Workload {
+        name: "balls_dense",
+        source: Source::Made("balls", 60),
+        gaussians: 300_000,
+        windows: 1,
+        quick: false,
+    },
+    Workload {
+        name: "bouncingballs",
+        source: Source::Trained("scenes/dnerf-bouncingballs"),
+        gaussians: 0,
+        windows: 2,
+        quick: false,
+    },
+    Workload {
+        name: "cloth_30s",
+        source: Source::Made("cloth", 900),
+        gaussians: 20_000,
+        windows: 2,
+        quick: false,
+    },
+    Workload {
+        name: "figure_30s",
+        source: Source::Made("figure", 900),
+        gaussians: 60_000,
+        windows: 2,
+        quick: false,
+    },
+    Workload {
+        name: "figure_3min",
+        source: Source::Made("figure", 5400),
+        gaussians: 10_000,
+        windows: 1,
+        quick: false,
+    },
+];
+
+/// Frames that are rated per run.
+const PICTURES: usize = 12;
+
+/// Runs the bench.
+pub(in crate::experiment) fn run(setup: &Setup) -> Result<Bench> {
+    let mut bench = Bench::new(
+        "workloads",
+        format!(
+            "streams of many lengths and rates over recordings that nothing was chosen on, links, pictures \
+             and bound as for the rows of pictures of `transport`, {PICTURES} rated frames; rate: bytes with \
+             parity over the clip's length; trained: from its photographs at 200x200 in 4,000 steps"
+        ),
+    );
+    let mut channels = channels::held_out(setup, &mut bench)?;
+    if setup.quick {
+        channels.truncate(4);
+    }
+    for workload in WORKLOADS.iter().filter(|workload| !setup.quick || workload.quick) {
+        let Some(scene) = workload.scene(setup, &mut bench)? else { continue };
+        let study = pictures::Study::make(&scene, setup, PICTURES)?;
+        let key = format!("workloads.{}", workload.name);
+        let (bytes, length) = study.extent();
+        let rate = 8e-6 * bytes as f64 / length.as_s();
+        bench.push(Figure::new(format!("{key}.rate"), rate, "Mbit/s"));
+        bench.push(Figure::new(format!("{key}.length"), length.as_s(), "s"));
+        let windows = if setup.quick { 1 } else { workload.windows };
+        pictures::push(&mut bench, &key, &study.compare(&channels, windows)?);
+    }
+    Ok(bench)
+}
+
+impl Workload {
+    /// Its scene, unless its data is not here.
+    fn scene(&self, setup: &Setup, bench: &mut Bench) -> Result<Option<Scene>> {
+        let path = match self.source {
+            Source::Made(kind, frames) => return synth(kind, self.gaussians, frames).map(Some),
+            Source::Mesh(file, _) | Source::Trained(file) => setup.data(file, bench)?,
+        };
+        let Some(path) = path else { return Ok(None) };
+        match self.source {
+            Source::Mesh(_, clip) => load_clip(&path, self.gaussians, clip).map(Some),
+            _ => Ok(Some(trained(&path)?.1)),
+        }
+    }
+}
