@@ -203,6 +203,7 @@ fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, s
     let study = Study::make(scene, setup, pictures)?;
     let results = study.compare(channels, windows)?;
     push(bench, &format!("pictures.{name}"), &results);
+    push_verdicts(bench, &format!("pictures.{name}.deadline-utility"), &results);
     let without = study.each_window(channels, windows, |place, session, _| {
         Ok(Window { runs: ablations::runs(&study.graph, session)?, ..place })
     })?;
@@ -215,6 +216,14 @@ pub(super) fn push(bench: &mut Bench, key: &str, results: &[Limited]) {
     let windows: Vec<Window<Seen>> = results.iter().map(|(window, _)| window.clone()).collect();
     push_rows(bench, key, &windows);
     push_limits(bench, key, results);
+}
+
+/// Adds in how many families the default scheduler is better than each other.
+fn push_verdicts(bench: &mut Bench, key: &str, results: &[Limited]) {
+    let windows: Vec<Window<Seen>> = results.iter().map(|(window, _)| window.clone()).collect();
+    for (at, policy) in POLICIES.iter().enumerate().filter(|(at, _)| *at != OURS) {
+        push_families(bench, &windows, key, (at, policy.name()));
+    }
 }
 
 fn push_rows(bench: &mut Bench, prefix: &str, windows: &[Window<Seen>]) {
@@ -258,9 +267,6 @@ fn push_rows(bench: &mut Bench, prefix: &str, windows: &[Window<Seen>]) {
         push(format!("deadline-utility.less_{name}.frozen"), mean(&frozen), "% of frames, paired");
         let missed = |w: &Window<Seen>| 100.0 * (w.runs[OURS].base_miss - w.runs[at].base_miss);
         push(format!("deadline-utility.less_{name}.base_miss"), mean(&missed), "%, paired");
-    }
-    for (at, policy) in POLICIES.iter().enumerate().filter(|(at, _)| *at != OURS) {
-        push_families(bench, windows, &format!("{prefix}.deadline-utility"), (at, policy.name()));
     }
     let runs = || windows.iter().flat_map(|window| &window.runs);
     let utility: Vec<f64> = runs().map(|run| run.utility).collect();
