@@ -98,9 +98,9 @@ pub struct Train {
     /// masks of a dataset leave out (mask_path) stay as they were trained, and count in its figures. Also
     /// writes registration.json (what was fixed before), delivery.json (what came of it), delivery.csv
     /// (update by update) and delivery.dgst (to resume); report.html shows the objective, validation, and
-    /// damaged states before and after. `recorded` in the file of options names states of a real delivery, which `dgs stream
-    /// --states` writes: every other world of mixed is one of them. A dataset is trained first for that; its
-    /// stream is then the one that `dgs encode` makes of DIR/checkpoint.dgst.
+    /// damaged states before and after. `recorded` in the file of options names states of a real delivery,
+    /// which `dgs stream --states` writes: every other world of mixed is one of them. A dataset is trained
+    /// first for that; its stream is then the one that `dgs encode` makes of DIR/checkpoint.dgst.
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
     /// Largest loss of PSNR by encoding, dB.

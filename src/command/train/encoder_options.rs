@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn every_option_of_the_encoder_is_told_from_another() {
+    fn every_option_of_the_encoder_makes_a_difference() {
         let plain = of("", 0);
         for typed in [
             "--profile paper",

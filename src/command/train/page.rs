@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use render_host::Image;
-use trainer_host::train::{self, Compared, Dataset, DynamicScene};
+use trainer_host::train::{self, Dataset, DynamicScene};
 
 use super::{figures::Figure, log::Log, trained::Trained};
 use crate::report::{
@@ -64,12 +64,11 @@ impl Page<'_> {
     pub(super) fn preview(&self) -> Result<Image> {
         let (begun, ended) = (self.compared(&self.trained.begun())?, self.compared(&self.trained.exact())?);
         let mut rows: [Vec<Image>; 4] = Default::default();
-        for (before, after) in begun.iter().zip(&ended) {
-            let errors = after.rendered.rgb().iter().zip(after.photograph.rgb());
+        for ([photograph, before], [_, after]) in begun.iter().zip(&ended) {
+            let errors = after.rgb().iter().zip(photograph.rgb());
             let errors = errors.map(|(a, b)| ((a - b).abs() * BRIGHTER).min(1.0)).collect();
-            let (width, height) = after.rendered.size();
-            let errors = Image::new(width, height, errors)?;
-            let images = [&after.photograph, &before.rendered, &after.rendered, &errors];
+            let errors = Image::new(after.width(), after.height(), errors)?;
+            let images = [photograph, before, after, &errors];
             for (row, image) in rows.iter_mut().zip(images) {
                 row.push(small(image)?);
             }
@@ -78,12 +77,12 @@ impl Page<'_> {
         Ok(Image::strip(&all, ended.len().max(1), 4)?)
     }
 
-    /// Pictures of `scene` beside the photographs of the preview.
-    fn compared(&self, scene: &dyn DynamicScene) -> Result<Vec<Compared>> {
+    /// The photographs of the preview, each with its picture of `scene`.
+    fn compared(&self, scene: &dyn DynamicScene) -> Result<Vec<[Image; 2]>> {
         let (trained, dataset) = (self.trained, self.dataset);
         let (reduced, background) = (trained.reduced, trained.options.background);
         let count = |views: usize| (0..COLUMNS.min(views)).map(move |k| k * views / COLUMNS.min(views));
-        let found: Result<Vec<Compared>, _> = if dataset.test.is_empty() {
+        let found: Result<Vec<_>, _> = if dataset.test.is_empty() {
             count(dataset.train.photographs().len())
                 .map(|index| train::compare(scene, &dataset.train, index, reduced, background))
                 .collect()
@@ -93,7 +92,7 @@ impl Page<'_> {
                 .map(|index| train::compare(scene, &dataset.test, index, reduced, background))
                 .collect()
         };
-        Ok(found?)
+        Ok(found?.into_iter().map(|pair| [pair.photograph, pair.rendered]).collect())
     }
 
     /// The document; it needs nothing else.

@@ -10,7 +10,7 @@ use dgs::{
 };
 use dgs_lab::{
     experiment::{self, Experiment},
-    setup::{LPIPS_STATES, Setup},
+    setup::Setup,
 };
 use serde_json::json;
 
@@ -39,7 +39,7 @@ struct Typed {
     lpips: Option<PathBuf>,
     /// How many states per loss `erasure` measures with LPIPS, which takes longest: 1 to 128.
     #[arg(
-        long, value_name = "STATES", default_value_t = LPIPS_STATES,
+        long, value_name = "STATES", default_value_t = Setup::LPIPS_STATES,
         value_parser = clap::value_parser!(u16).range(1..=128)
     )]
     lpips_states: u16,

@@ -28,10 +28,10 @@ pub struct Setup {
     pub lpips_states: usize,
 }
 
-/// States that are measured with LPIPS where nothing is typed.
-pub const LPIPS_STATES: u16 = 32;
-
 impl Setup {
+    /// States that are measured with LPIPS where nothing is typed.
+    pub const LPIPS_STATES: u16 = 32;
+
     /// A setup with the data folder typed, else `../shared/data` if it is there.
     pub fn new(data: Option<PathBuf>, quick: bool, quiet: Quiet) -> Self {
         let beside = PathBuf::from("../shared/data");
@@ -41,7 +41,7 @@ impl Setup {
             quiet,
             out: None,
             lpips: None,
-            lpips_states: usize::from(LPIPS_STATES),
+            lpips_states: usize::from(Self::LPIPS_STATES),
         }
     }
 

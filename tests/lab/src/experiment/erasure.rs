@@ -77,8 +77,8 @@ fn protocol(network: Option<&Network>) -> String {
          below the own complete state, cliffs: states more than 3 dB below it; FLIP{lpips} of the same \
          pictures; flicker: change to the next frame in the same state that the reference does not have, \
          times 1000 (no photograph follows another: what changes there is of renders of the scene before \
-         either training); rise: above the own complete state; gain: mean over states of trained less untrained \
-         PSNR, difference: the same of another measure; both with paired bootstrap over states"
+         either training); rise: above the own complete state; gain: mean over states of trained less \
+         untrained PSNR, difference: the same of another measure; both with paired bootstrap over states"
     )
 }
 

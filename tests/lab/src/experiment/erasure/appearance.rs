@@ -112,7 +112,7 @@ impl Appearance {
 
 /// `measure` of each of `images`.
 fn each(images: &[Image], measure: impl Fn(&Image) -> Result<f64> + Sync) -> Result<Vec<f64>> {
-    images.par_iter().map(measure).collect()
+    images.par_iter().map(|image| measure(image)).collect()
 }
 
 /// Flicker of each state from its picture to its next, times 1000, beside that of two `references`.
