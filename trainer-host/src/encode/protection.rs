@@ -222,6 +222,16 @@ mod tests {
     use super::*;
 
     #[test]
+    fn what_is_printed_is_read_back() {
+        for text in
+            ["none", "standard", "strong", "full", "base=16+8@10%,1=18+8", "tracks=8+2", "2=64+8,3=4+1"]
+        {
+            assert_eq!(Protection::parse(text).unwrap().to_string(), text);
+        }
+        assert_eq!(Protection::parse("tracks=8+2,base=16+4").unwrap().to_string(), "standard");
+    }
+
+    #[test]
     fn words_and_lists_are_read_and_anything_else_is_named() {
         assert_eq!(Protection::parse("none"), Ok(Protection::NONE));
         assert_eq!(Protection::parse("standard"), Ok(Protection::STANDARD));
