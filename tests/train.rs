@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+#[path = "train/encoder.rs"]
+mod encoder;
 #[cfg(unix)]
 #[path = "train/photographs.rs"]
 mod photographs;
@@ -77,6 +79,22 @@ fn a_training_writes_a_stream_a_checkpoint_a_log_and_a_report() {
     assert!(log.starts_with("step,seconds,loss") && log.contains("\n200,"), "{log}");
     let page = fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(page.contains("<svg") && page.contains("data:image/png;base64,"));
+    // Photographs, pictures before and after, errors: four rows of one picture per test view.
+    let preview = render_host::Image::read(&at.join("out/preview.png"), [0.0; 3]).unwrap();
+    let columns = (preview.width() + 4) / 68;
+    assert_eq!((preview.width(), preview.height()), (68 * columns - 4, 4 * 68 - 4), "{columns} views");
+    let row = |number: u32| -> Vec<[f32; 3]> {
+        (0..64)
+            .flat_map(|y| (0..64).map(move |x| (x, y)))
+            .map(|(x, y)| preview.pixel(x, 68 * number + y).unwrap())
+            .collect()
+    };
+    let apart = |a: &[[f32; 3]], b: &[[f32; 3]]| -> f32 {
+        a.iter().zip(b).flat_map(|(a, b)| a.iter().zip(b)).map(|(a, b)| (a - b).powi(2)).sum()
+    };
+    let (photograph, before, after) = (row(0), row(1), row(2));
+    assert!(apart(&before, &photograph) > 2.0 * apart(&after, &photograph), "training brings it nearer");
+    assert!(page.contains("before the first step and after the last"));
     assert!(fs::read(at.join("out/preview.png")).unwrap().starts_with(b"\x89PNG"));
 
     // The stream and the checkpoint are scenes for the other verbs.
@@ -177,18 +195,6 @@ fn an_interrupted_training_goes_on_to_the_same_bytes() {
     assert!(!at.join("whole/epoch-0").exists() && !at.join("whole/delivery.json").exists());
 }
 
-/// A size that is larger or smaller than what the training has rounded for is met all the same.
-#[test]
-fn sizes_are_met_where_motion_alone_does_not_lead_there() {
-    let folder = tempfile::tempdir().unwrap();
-    for bytes in [3000u64, 400_000] {
-        let typed = bytes.to_string();
-        let args = ["-o", "out", "--overwrite", "--json", "--target-bytes", &typed];
-        let report: serde_json::Value = serde_json::from_str(&ok(folder.path(), &args)).unwrap();
-        assert!(report["bytes"].as_u64().is_some_and(|found| found <= bytes + bytes / 10), "{report}");
-    }
-}
-
 /// One ring becomes three balls: trained as two epochs that is seen better than as one.
 #[cfg(unix)]
 #[test]
@@ -252,7 +258,24 @@ fn fine_tuning_for_delivery_fixes_its_rules_before_it_starts() {
     assert!(text.contains("background [0.0, 0.0, 0.0]"), "{text}");
     let registration = fs::read_to_string(at.join("out/registration.json")).unwrap();
     assert!(registration.contains("config_hash") && registration.contains("selection_rule"));
-    assert!(fs::read_to_string(at.join("out/delivery.json")).unwrap().contains("objective"));
+    let record: serde_json::Value =
+        serde_json::from_slice(&fs::read(at.join("out/delivery.json")).unwrap()).unwrap();
+    assert_eq!(record["terms"].as_array().map(Vec::len), Some(4), "a set of terms per update");
+    // The log has a line per update, and what validation saw of the given scene and of the candidate.
+    let log = fs::read_to_string(at.join("out/delivery.csv")).unwrap();
+    let lines: Vec<&str> = log.lines().collect();
+    assert!(lines.len() == 6 && lines[0].starts_with("update,seconds,objective,expected"), "{log}");
+    assert!(!lines[1].ends_with(",,") && lines[2].ends_with(",,,") && !lines[5].ends_with(",,"), "{log}");
+    // The page has curves, pictures, and the hash that was registered.
+    let page = fs::read_to_string(at.join("out/report.html")).unwrap();
+    let hash = record["registration"]["config_hash"].as_str().unwrap();
+    for part in
+        ["<svg", "data:image/png;base64,", hash, "10 % lost in bursts of six", "E[D], mean over worlds"]
+    {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(text.contains("out/report.html"), "{text}");
+    assert!(!at.join("out/encoder.json").exists(), "nothing was trained that others could encode");
     let white = ["train", SCENE, "-o", "white", "--side", "64", "--cameras", "6", "--pictures", "0"];
     let output = Command::new(env!("CARGO_BIN_EXE_dgs"))
         .current_dir(at)

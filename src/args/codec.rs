@@ -103,6 +103,30 @@ impl CodecArgs {
         options.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
     }
 
+    /// Every option and its value as it is typed; "none" where there is none.
+    pub fn values(&self) -> Vec<(&'static str, String)> {
+        fn typed<T: ToString>(value: Option<T>) -> String {
+            value.map_or_else(|| "none".to_owned(), |value| value.to_string())
+        }
+        let profile = self.profile.to_possible_value();
+        vec![
+            ("--profile", typed(profile.as_ref().map(|profile| profile.get_name()))),
+            ("--coarseness", self.coarseness.to_string()),
+            ("--target-bits-per-gaussian", typed(self.target_bits_per_gaussian)),
+            ("--target-bytes", typed(self.target_bytes)),
+            ("--target-psnr", typed(self.target_psnr)),
+            ("--pictures", self.pictures.to_string()),
+            ("--search", self.search.to_string()),
+            ("--cluster-size", self.cluster_size.to_string()),
+            ("--block-len", self.block_len.to_string()),
+            ("--window-frames", typed(self.window_frames)),
+            ("--rank", typed(self.rank)),
+            ("--packet-bytes", self.packet_bytes.to_string()),
+            ("--repair-set", typed(self.repair_set)),
+            ("--repair", typed(self.repair)),
+        ]
+    }
+
     /// The options that differ from their defaults and mean nothing to the profile.
     pub fn unused(&self) -> Vec<&'static str> {
         if self.profile == ProfileName::Dgs1 {

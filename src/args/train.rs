@@ -14,8 +14,9 @@ use super::{
 /// `dgs train`.
 ///
 /// Writes into the folder of --out: scene.dgs (the encoded scene), checkpoint.dgst (to resume, and a scene
-/// for `dgs encode` and `dgs render`), log.csv, preview.png and report.html. A clip in several epochs
-/// (--split) has epochs.json and a folder epoch-N with the checkpoint and log of each.
+/// for `dgs encode` and `dgs render`), log.csv, preview.png, report.html and encoder.json (options of the
+/// encoder, so that --resume says where it goes on with others). A clip in several epochs (--split) has
+/// epochs.json and a folder epoch-N with the checkpoint and log of each.
 #[derive(Clone, Debug, Args)]
 pub struct Train {
     /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), transforms.json (Nerfstudio),
@@ -39,7 +40,8 @@ pub struct Train {
     pub minutes: Option<f64>,
     /// Go on from the checkpoint in --out, bit for bit; options of the training are those it was made with,
     /// and others are refused. --delivery, which goes on from delivery.dgst, and options of the encoder and
-    /// of a scene's renders (--cameras, --side) are typed as before. A training that is complete can be
+    /// of a scene's renders (--cameras, --side) are typed as before; where the encoder has others, scene.dgs
+    /// is written with them, and a note names them. A training that is complete can be
     /// fine-tuned: `dgs train DATASET -o DIR --resume --delivery mixed`.
     #[arg(long)]
     pub resume: bool,
@@ -94,10 +96,11 @@ pub struct Train {
     /// Fine-tune for what delivery leaves: reconstruction, iid, burst-cvar, mixed, or a JSON file of options.
     /// A dataset is trained first; a scene is taken as it is and compared with its own renders. Pixels that
     /// masks of a dataset leave out (mask_path) stay as they were trained, and count in its figures. Also
-    /// writes registration.json (what was fixed before), delivery.json (what came of it) and delivery.dgst
-    /// (to resume). `recorded` in the file of options names states of a real delivery, which `dgs stream
-    /// --states` writes: every other world of mixed is one of them. A dataset is trained first for that; its
-    /// stream is then the one that `dgs encode` makes of DIR/checkpoint.dgst.
+    /// writes registration.json (what was fixed before), delivery.json (what came of it), delivery.csv
+    /// (update by update) and delivery.dgst (to resume); report.html shows the objective, validation, and
+    /// damaged states before and after. `recorded` in the file of options names states of a real delivery,
+    /// which `dgs stream --states` writes: every other world of mixed is one of them. A dataset is trained
+    /// first for that; its stream is then the one that `dgs encode` makes of DIR/checkpoint.dgst.
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
     /// Largest loss of PSNR by encoding, dB.

@@ -1,6 +1,7 @@
 //! `dgs train`: photographs, or the renders of a scene, to a moving scene and its stream.
 
 mod delivery;
+mod encoder_options;
 mod encoding;
 mod epochs;
 mod figures;
@@ -28,7 +29,8 @@ use trainer_host::{
 };
 
 use self::{
-    encoding::{Written, within_loss},
+    encoder_options::EncoderOptions,
+    encoding::{Written, check_size, within_loss},
     epochs::Plan,
     figures::{Figure, decoded, lpips},
     finishing::Finished,
@@ -115,24 +117,37 @@ fn train(
             args.out.display()
         );
     }
+    let trained_for = match &resumed {
+        Some(checkpoint) => checkpoint.options().finish.target_bytes,
+        None => options(args)?.finish.target_bytes,
+    };
+    // A scene that is there is encoded before it is fine-tuned.
+    if scene.is_none() || delivery.is_none() {
+        let rate = args.scene.fps.or(resumed.as_ref().map(|checkpoint| checkpoint.frames_per_second));
+        let rate = rate.unwrap_or_else(|| args.scene.frames_per_second());
+        check_size(args, trained_for, (args.frames.unwrap_or(dataset.frames), rate))?;
+    }
     let _lock = folder.open(args)?;
     let stop = Interruption::watch();
     if let (Some(scene), Some(options)) = (scene, delivery) {
         return delivery::run(args, &folder, scene, dataset, options, &stop, quiet);
     }
-    let network = network.as_ref();
+    let encoder = EncoderOptions::of(args, trained_for);
+    let changes = encoder.taken_up(&folder.encoder, args.resume)?;
+    let with = (delivery, &encoder, network.as_ref());
     let plan = match scene {
         Some(scene) => Plan::of(args, &folder, scene, dataset, &stop, quiet)?,
         None => None,
     };
     let parted = plan.as_ref().filter(|plan| plan.is_parted());
     let mut output = if let (Some(plan), Some(scene)) = (parted, scene) {
-        let Some((trained, log, ended)) = plan.train(args, scene, dataset, &stop, quiet)? else {
+        let Some((trained, mut log, ended)) = plan.train(args, scene, dataset, &stop, quiet)? else {
             return Ok(left(args, plan));
         };
         files::write(&folder.log, log.csv().as_bytes())?;
-        let mut output =
-            finish(args, &folder, dataset, (&trained, &log, ended), None, network, &stop, quiet)?;
+        log.notes.extend(changes);
+        let with = (None, with.1, with.2);
+        let mut output = finish(args, &folder, dataset, (&trained, &log, ended), with, &stop, quiet)?;
         output.json["checkpoint"] = plan.checkpoints(args).iter().map(|path| files::shown(path)).collect();
         output
     } else {
@@ -143,9 +158,10 @@ fn train(
         check_length(args, &trainer, begun)?;
         let mut log = if args.resume { Log::resumed(&folder.log, trainer.steps())? } else { Log::default() };
         log.notes.extend_from_slice(&input.notes);
+        log.notes.extend(changes);
         let ended = fit(args, &folder, dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
         let trained = Trained::of(&trainer, dataset, args)?;
-        finish(args, &folder, dataset, (&trained, &log, ended), delivery, network, &stop, quiet)?
+        finish(args, &folder, dataset, (&trained, &log, ended), with, &stop, quiet)?
     };
     if let Some(plan) = &plan {
         output.text += &plan.text();
@@ -245,8 +261,7 @@ fn finish(
     folder: &Folder,
     dataset: &Dataset,
     (trained, log, mut ended): (&Trained, &Log, Ended),
-    delivery: Option<&DeliveryOptions>,
-    network: Option<&Lpips>,
+    (delivery, encoder, network): (Option<&DeliveryOptions>, &EncoderOptions, Option<&Lpips>),
     stop: &Interruption,
     quiet: Quiet,
 ) -> Result<VerbOutput> {
@@ -254,20 +269,23 @@ fn finish(
         eprintln!("{STOPPED}");
     }
     let mut tuning = None;
+    let mut section = None;
     let written = match delivery.filter(|_| !ended.interrupted) {
         Some(options) => {
             let references = (dataset, trained.options.background, trained.options.max_side);
-            let (encoded, record) =
-                delivery::fine_tuned(args, folder, &trained.scene, references, options, stop, quiet)?;
-            ended.interrupted |= record.objective.len() < options.updates;
-            tuning = Some((options, record));
-            Written::plainly(encoded)
+            let tuned = delivery::fine_tuned(args, folder, &trained.scene, references, options, stop, quiet)?;
+            ended.interrupted |= tuned.record.objective.len() < options.updates;
+            tuning = Some((options, tuned.record));
+            section = Some(tuned.section);
+            Written::plainly(tuned.encoded)
         }
-        None => within_loss(args, dataset, trained, stop, TRAINED, quiet)?,
+        None => within_loss(args, dataset, trained, stop, TRAINED, quiet).context(TRAINED)?,
     };
-    let Written { encoded: written, lost_db, notes } = written;
+    let Written { encoded: written, lost_db, mut notes } = written;
     let bytes = written.stream.to_bytes()?;
+    notes.extend(EncoderOptions::replaced(args, folder, &bytes));
     files::write(&folder.stream, &bytes)?;
+    encoder.write(&folder.encoder)?;
 
     let figures = measured(dataset, trained, &decoded(&written)?, network, stop, quiet)?;
     let plain = trained.options.background;
@@ -280,7 +298,8 @@ fn finish(
         Vec::new()
     };
 
-    let page = Page { dataset, trained, log, figures: &figures, bytes: bytes.len(), ended: &ended };
+    let delivery = section.as_deref();
+    let page = Page { dataset, trained, log, figures: &figures, bytes: bytes.len(), ended: &ended, delivery };
     let preview = page.preview()?;
     files::write(&folder.preview, &preview.to_png()?)?;
     files::write(&folder.report, page.html()?.as_bytes())?;
@@ -304,6 +323,7 @@ fn finish(
         output.json["taken"] = json!(record.before_and_taken().map(|(_, taken)| taken.updates));
         output.json["registration"] = json!(files::shown(&folder.registration));
         output.json["delivery"] = json!(files::shown(&folder.delivery));
+        output.json["delivery_log"] = json!(files::shown(&folder.delivery_log));
     }
     for audit in &audits {
         output.text += &audit.text();

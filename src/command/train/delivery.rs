@@ -1,6 +1,10 @@
 //! Fine-tunes a scene for what delivery leaves of it: `dgs train --delivery`.
 
-use std::{cell::RefCell, ops::ControlFlow};
+mod damage;
+mod log;
+mod page;
+
+use std::{cell::RefCell, io::IsTerminal as _, ops::ControlFlow, time::Instant as Clock};
 
 use anyhow::{Context, Result, bail};
 use serde_json::json;
@@ -9,15 +13,22 @@ use trainer_host::{
     encode::{Encoded, Protection, write},
     train::{
         self, Dataset,
-        delivery::{DeliveryError, DeliveryOptions, Record, Recording, Reference, Tuning, resume},
+        delivery::{
+            DeliveryError, DeliveryOptions, FineTuned, Record, Recording, Reference, Tuning, Update, resume,
+        },
     },
 };
 
+use self::{
+    damage::Damage,
+    log::{DeliveryLog, line},
+};
 use super::{
     encoding::encoded,
     figures::{decoded, figure},
     folder::Folder,
     interruption::Interruption,
+    page::document,
     training::options as typed,
 };
 use crate::{
@@ -30,6 +41,8 @@ use crate::{
 
 /// Most updates between two checkpoints: each takes as long as many steps of a training.
 const CHECKPOINT_EVERY: usize = 20;
+/// Lines about a whole fine-tuning where no bar is shown.
+const LINES: usize = 10;
 /// Background of the pictures of a scene where nothing is said.
 const BACKGROUND: [f32; 3] = [0.0; 3];
 
@@ -102,22 +115,27 @@ pub(super) fn run(
     let background = args.background.unwrap_or(BACKGROUND);
     let plain = encoded(args, scene, stop, "nothing was written", quiet)?;
     let pictures = (dataset, background, typed(args)?.max_side);
-    let (tuned, record) = fine_tuned(args, folder, scene, pictures, options, stop, quiet)?;
+    let Tuned { encoded: tuned, record, section } =
+        fine_tuned(args, folder, scene, pictures, options, stop, quiet)?;
     let updates = record.objective.len();
     let interrupted = updates < options.updates;
     let bytes = tuned.stream.to_bytes()?;
     files::write(&folder.stream, &bytes)?;
     let before = train::evaluate(&decoded(&plain)?, &dataset.test, 1, background)?;
     let after = train::evaluate(&decoded(&tuned)?, &dataset.test, 1, background)?;
+    let lead = format!("{} bytes as scene.dgs.", bytes.len());
+    let page = document(&format!("Fine-tuning of {} for delivery", dataset.name), &lead, &section);
+    files::write(&folder.report, page.as_bytes())?;
     let text = format!(
-        "{}: fine-tuned for delivery{}\n{}{}{}  {} bytes, in {}\n",
+        "{}: fine-tuned for delivery{}\n{}{}{}  {} bytes, in {}\n{}\n",
         args.input,
         if interrupted { ", interrupted: --resume goes on" } else { "" },
         outcome(&record, options),
         figure("held-out views, all packets, before", &before),
         figure("held-out views, all packets, fine-tuned", &after),
         bytes.len(),
-        folder.stream.display()
+        folder.stream.display(),
+        folder.report.display()
     );
     let mut notes = Vec::new();
     let unused = unused(args);
@@ -138,8 +156,18 @@ pub(super) fn run(
         "stream": files::shown(&folder.stream),
         "registration": files::shown(&folder.registration),
         "delivery": files::shown(&folder.delivery),
+        "log": files::shown(&folder.delivery_log),
+        "report": files::shown(&folder.report),
     });
     Ok(VerbOutput { text, json, damaged: interrupted, ..VerbOutput::default() })
+}
+
+/// What a fine-tuning led to.
+pub(super) struct Tuned {
+    pub(super) encoded: Encoded,
+    pub(super) record: Record,
+    /// What a page says of it, as HTML.
+    pub(super) section: String,
 }
 
 /// The stream of `scene`, fine-tuned towards training views over a background, no side longer than the third
@@ -152,7 +180,7 @@ pub(super) fn fine_tuned(
     options: &DeliveryOptions,
     stop: &Interruption,
     quiet: Quiet,
-) -> Result<(Encoded, Record)> {
+) -> Result<Tuned> {
     let options = DeliveryOptions {
         seed: args.scene.seed.unwrap_or(options.seed),
         registration: Some(folder.registration.clone()),
@@ -160,15 +188,44 @@ pub(super) fn fine_tuned(
         ..options.clone()
     };
     let references = references(dataset, scene, (args.references, max_side), background)?;
+    let (tuned, seconds) = updated(args, folder, scene, &references, &options, stop, quiet)?;
+    files::write(&folder.delivery, serde_json::to_string_pretty(&tuned.record)?.as_bytes())?;
+    let progress = |_: &'static str, _: f64| {
+        stop.leave("delivery.json is whole; the stream is not there");
+        ControlFlow::Continue(())
+    };
+    let encoded = write(&tuned.scene, &tuned.decisions, &progress)?;
+    let damage = Damage::of(scene, &tuned, &unseen(dataset, scene, max_side, background)?)?;
+    let section = page::section(&tuned.record, seconds, &damage)?;
+    Ok(Tuned { encoded, record: tuned.record, section })
+}
+
+/// Makes the updates, from the checkpoint on where there is one, and keeps their log; and how many seconds
+/// they took.
+fn updated(
+    args: &Train,
+    folder: &Folder,
+    scene: &Scene,
+    references: &[Reference],
+    options: &DeliveryOptions,
+    stop: &Interruption,
+    quiet: Quiet,
+) -> Result<(FineTuned, f64)> {
     let begun = begun(args, folder)?;
+    let made = begun.as_ref().map_or(0, Tuning::updates);
+    let log = RefCell::new(DeliveryLog::resumed(&folder.delivery_log, made));
+    let before = log.borrow().seconds();
     let every = CHECKPOINT_EVERY.min(args.checkpoint_every as usize);
     let unsaved = RefCell::new(None);
     let bar = Progress::new("fine-tune for delivery", quiet.0);
-    let tuned = resume(scene, &references, &options, begun, &|update, tuning| {
-        bar.at(update.updates as f64 / update.of.max(1) as f64);
+    let clock = Clock::now();
+    let tuned = resume(scene, references, options, begun, &|update, tuning| {
+        let seconds = clock.elapsed().as_secs_f64();
+        log.borrow_mut().add(before + seconds);
+        say(&bar, update, tuning, (made, seconds), quiet);
         let interrupted = stop.take();
         let is_due = interrupted || update.updates == update.of || update.updates.is_multiple_of(every);
-        if is_due && let Err(error) = save(folder, tuning) {
+        if is_due && let Err(error) = save(folder, tuning, &log.borrow()) {
             unsaved.replace(Some(error));
             return ControlFlow::Break(());
         }
@@ -185,17 +242,28 @@ pub(super) fn fine_tuned(
         }
         error => error.into(),
     })?;
-    files::write(&folder.delivery, serde_json::to_string_pretty(&tuned.record)?.as_bytes())?;
-    let progress = |_: &'static str, _: f64| {
-        stop.leave("delivery.json is whole; the stream is not there");
-        ControlFlow::Continue(())
-    };
-    let stream = write(&tuned.scene, &tuned.decisions, &progress)?;
-    Ok((stream, tuned.record))
+    let (log, Record { objective, terms, candidates, .. }) = (log.into_inner(), &tuned.record);
+    files::write(&folder.delivery_log, log.csv(objective, terms, candidates).as_bytes())?;
+    Ok((tuned, log.seconds()))
 }
 
-fn save(folder: &Folder, tuning: &Tuning) -> Result<()> {
-    files::write(&folder.tuning, &tuning.to_bytes()?)
+/// Says how far the updates are: `made` of them before this run, which has taken so many seconds.
+fn say(bar: &Progress, update: &Update, tuning: &Tuning, (made, seconds): (usize, f64), quiet: Quiet) {
+    let Update { updates, of, .. } = *update;
+    let left = seconds * (of - updates) as f64 / (updates - made).max(1) as f64;
+    let line = line(update, tuning.candidates(), left);
+    bar.stage(&line, updates as f64 / of.max(1) as f64);
+    // Where no bar is shown, a line for every tenth.
+    let is_due = updates * LINES / of.max(1) > (updates - 1) * LINES / of.max(1);
+    if is_due && !quiet.0 && !std::io::stderr().is_terminal() {
+        bar.say(&line);
+    }
+}
+
+fn save(folder: &Folder, tuning: &Tuning, log: &DeliveryLog) -> Result<()> {
+    files::write(&folder.tuning, &tuning.to_bytes()?)?;
+    let csv = log.csv(tuning.objective(), tuning.terms(), tuning.candidates());
+    files::write(&folder.delivery_log, csv.as_bytes())
 }
 
 /// The fine-tuning to go on with, if there is one.
@@ -244,14 +312,28 @@ fn references(
     background: [f32; 3],
 ) -> Result<Vec<Reference>> {
     let views = dataset.train.sample(count);
-    let reference = |view: &train::PosedPhotograph| {
-        let (shortest, longest) = {
-            let (width, height) = (view.camera.width(), view.camera.height());
-            (width.min(height), width.max(height))
-        };
-        // By a whole number, as photographs are reduced; one that leaves something of the shorter side.
-        let by = (shortest / 400).max(longest.div_ceil(max_side)).clamp(1, shortest);
-        Reference::of_photograph(view, scene, by, background).context("--references")
-    };
-    views.photographs().iter().map(reference).collect()
+    let of = |view: &train::PosedPhotograph| reference(view, scene, max_side, background);
+    views.photographs().iter().map(of).collect()
+}
+
+/// A view that nothing was trained on, the middle one; of the training split where there is no other.
+fn unseen(dataset: &Dataset, scene: &Scene, max_side: u32, background: [f32; 3]) -> Result<Reference> {
+    let views = [dataset.test.photographs(), dataset.train.photographs()];
+    let views = views.into_iter().find(|views| !views.is_empty()).unwrap_or_default();
+    let view = views.get(views.len() / 2).context("there are no views")?;
+    reference(view, scene, max_side, background)
+}
+
+/// `view` as a picture of a frame over `background`, no side longer than `max_side` pixels.
+fn reference(
+    view: &train::PosedPhotograph,
+    scene: &Scene,
+    max_side: u32,
+    background: [f32; 3],
+) -> Result<Reference> {
+    let (width, height) = (view.camera.width(), view.camera.height());
+    let (shortest, longest) = (width.min(height), width.max(height));
+    // By a whole number, as photographs are reduced; one that leaves something of the shorter side.
+    let by = (shortest / 400).max(longest.div_ceil(max_side)).clamp(1, shortest);
+    Reference::of_photograph(view, scene, by, background).context("--references")
 }

@@ -1,9 +1,11 @@
 //! Encodes a trained scene as coarsely as its photographs allow, unless a person asks to stop.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
+use codec_core::ShDegree;
 use trainer_host::{
     Scene,
     encode::{self, Decisions, EncodeError, EncodeOptions, Encoded, Protection, QuantiserSteps, Target},
+    scene::{Attributes, Epoch, Track},
     train::{self, Dataset, DynamicScene},
 };
 
@@ -65,6 +67,43 @@ impl Attempt {
         let ratio = (AIM * allowed_db / self.lost_db.max(1e-3 * allowed_db)).sqrt();
         (self.coarseness * ratio.clamp(0.3, 2.0)).clamp(COARSENESS.0, COARSENESS.1)
     }
+}
+
+/// Refuses before a training a size that no stream of it can have, that of `args` or else the `trained_for`
+/// (0: none) of options; streams are of so many `frames`, so many a second.
+pub(super) fn check_size(args: &Train, trained_for: u64, (frames, rate): (usize, f64)) -> Result<()> {
+    let bytes = match (args.codec.target_bytes, steps_are_typed(args)) {
+        (Some(bytes), _) => bytes,
+        (None, false) if trained_for > 0 => trained_for,
+        _ => return Ok(()),
+    };
+    let least = least_bytes(args, frames, rate)?;
+    if bytes < least {
+        bail!(
+            "--target-bytes is {bytes}; {least} and more are allowed: so much does a stream of {frames} \
+             frames take that holds one Gaussian and no motion"
+        );
+    }
+    Ok(())
+}
+
+/// Bytes on the wire of the least that a training can lead to: one Gaussian that stands still.
+fn least_bytes(args: &Train, frames: usize, frames_per_second: f64) -> Result<u64> {
+    let attributes = Attributes {
+        positions: Track::Constant(vec![[0.0; 3]]),
+        rotations: Track::Constant(vec![[1.0, 0.0, 0.0, 0.0]]),
+        log_scales: Track::Constant(vec![[0.0; 3]]),
+        opacity_logits: Track::Constant(vec![0.0]),
+        sh0: Track::Constant(vec![[0.0; 3]]),
+        sh_rest: Vec::new(),
+        sh_degree: ShDegree::ZERO,
+    };
+    let scene = Scene::new(vec![Epoch::new(frames, attributes)?], frames_per_second)?;
+    let options = pipeline::encode_options(&args.codec, Protection::NONE);
+    let quality = QuantiserSteps::default().scaled(encode::COARSENESS.1);
+    let options = EncodeOptions { quality, target: None, pictures: 0, search: 0, ..options };
+    let encoded = encode::encode(&scene, &options, &encode::no_progress).context("cannot encode")?;
+    Ok(encoded.stream.wire_bytes() as u64)
 }
 
 /// The stream of `scene` with the options typed; between two stages of the encoder a person may leave with

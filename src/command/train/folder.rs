@@ -20,10 +20,14 @@ pub(super) struct Folder {
     pub(super) log: PathBuf,
     pub(super) preview: PathBuf,
     pub(super) report: PathBuf,
+    /// Options of the encoder that `stream` is made with.
+    pub(super) encoder: PathBuf,
     /// What was fixed before fine-tuning for delivery.
     pub(super) registration: PathBuf,
     /// Fine-tuning for delivery, to go on with.
     pub(super) tuning: PathBuf,
+    /// Its updates.
+    pub(super) delivery_log: PathBuf,
     /// What came of it.
     pub(super) delivery: PathBuf,
 }
@@ -49,8 +53,10 @@ impl Folder {
             log: file("log.csv"),
             preview: file("preview.png"),
             report: file("report.html"),
+            encoder: file("encoder.json"),
             registration: file("registration.json"),
             tuning: file("delivery.dgst"),
+            delivery_log: file("delivery.csv"),
             delivery: file("delivery.json"),
         }
     }
@@ -91,11 +97,24 @@ impl Folder {
         Ok(lock)
     }
 
-    fn files(&self) -> [&Path; 10] {
-        let Self { checkpoint, stream, utility, epochs, log, preview, report, .. } = self;
-        let Self { registration, tuning, delivery, .. } = self;
-        [checkpoint, stream, utility, epochs, log, preview, report, registration, tuning, delivery]
-            .map(PathBuf::as_path)
+    fn files(&self) -> [&Path; 12] {
+        let Self { checkpoint, stream, utility, epochs, log, preview, report, encoder, .. } = self;
+        let Self { registration, tuning, delivery_log, delivery, .. } = self;
+        [
+            checkpoint,
+            stream,
+            utility,
+            epochs,
+            log,
+            preview,
+            report,
+            encoder,
+            registration,
+            tuning,
+            delivery_log,
+            delivery,
+        ]
+        .map(PathBuf::as_path)
     }
 }
 

@@ -30,15 +30,15 @@ pub(super) struct Trained {
     /// As [`Trainer::exposures`], epoch by epoch.
     pub(super) exposures: Vec<[[f32; 3]; 2]>,
     pub(super) estimated_bytes: Option<f64>,
-    /// Per epoch, what the training went on with, and that as a receiver has it.
-    models: Vec<[Model; 2]>,
+    /// Per epoch, what the training went on with, that as a receiver has it, and what it began with.
+    models: Vec<[Model; 3]>,
 }
 
 impl Trained {
     /// What `trainer` led to on `dataset`, in as many frames as `args` say.
     ///
     /// # Errors
-    /// A Gaussian that is not finite.
+    /// A Gaussian that is not finite, or another dataset than that of the training.
     pub(super) fn of(trainer: &Trainer, dataset: &Dataset, args: &Train) -> Result<Self> {
         let frames = args.frames.unwrap_or(dataset.frames);
         let model = trainer.model().into_owned();
@@ -56,7 +56,7 @@ impl Trained {
             prunings: trainer.prunings().to_vec(),
             exposures: trainer.exposures().collect(),
             estimated_bytes: trainer.estimated_bytes(),
-            models: vec![[model, trainer.shown()]],
+            models: vec![[model, trainer.shown(), Trainer::start(dataset, trainer.options())?]],
         })
     }
 
@@ -96,6 +96,11 @@ impl Trained {
     /// The scene as a receiver has it, but for what is lost of its motion.
     pub(super) fn shown(&self) -> impl DynamicScene {
         self.one_after_another(1)
+    }
+
+    /// The scene before the first step.
+    pub(super) fn begun(&self) -> impl DynamicScene {
+        self.one_after_another(2)
     }
 
     fn one_after_another(&self, form: usize) -> OneAfterAnother<'_> {

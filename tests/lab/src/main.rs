@@ -33,9 +33,16 @@ struct Typed {
     /// Folder for tables (CSV) and drawings (SVG) of the benches that make them; none are written without.
     #[arg(long)]
     out: Option<PathBuf>,
-    /// Weights of LPIPS (AlexNet, safetensors), to measure it too: in `transport`.
+    /// Weights of LPIPS (AlexNet, safetensors), to measure it too: in `transport` and `erasure`, which also
+    /// finds them in the data folder (lpips/alexnet.safetensors).
     #[arg(long, value_name = "FILE")]
     lpips: Option<PathBuf>,
+    /// How many states per loss `erasure` measures with LPIPS, which takes longest: 1 to 128.
+    #[arg(
+        long, value_name = "STATES", default_value_t = Setup::LPIPS_STATES,
+        value_parser = clap::value_parser!(u16).range(1..=128)
+    )]
+    lpips_states: u16,
     /// Print figures as JSON on standard output, and nothing else there.
     #[arg(long)]
     json: bool,
@@ -55,6 +62,7 @@ fn run(typed: &Typed) -> Result<VerbOutput> {
     let mut setup = Setup::new(typed.data.clone(), typed.quick, Quiet(typed.json));
     setup.out.clone_from(&typed.out);
     setup.lpips.clone_from(&typed.lpips);
+    setup.lpips_states = usize::from(typed.lpips_states);
     let mut benches = Vec::new();
     for experiment in chosen(typed.name.as_deref().unwrap_or("all"))? {
         let bench = (experiment.run)(&setup)?;

@@ -24,9 +24,14 @@ pub struct Setup {
     pub out: Option<PathBuf>,
     /// Weights of LPIPS, to measure it too where pictures are rated.
     pub lpips: Option<PathBuf>,
+    /// States that a study of states measures with LPIPS.
+    pub lpips_states: usize,
 }
 
 impl Setup {
+    /// States that are measured with LPIPS where nothing is typed.
+    pub const LPIPS_STATES: u16 = 32;
+
     /// A setup with the data folder typed, else `../shared/data` if it is there.
     pub fn new(data: Option<PathBuf>, quick: bool, quiet: Quiet) -> Self {
         let beside = PathBuf::from("../shared/data");
@@ -36,7 +41,14 @@ impl Setup {
             quiet,
             out: None,
             lpips: None,
+            lpips_states: usize::from(Self::LPIPS_STATES),
         }
+    }
+
+    /// The weights of LPIPS that were given, else those in the data folder, if there are any.
+    pub fn lpips_weights(&self) -> Option<PathBuf> {
+        let found = self.data.as_ref().map(|data| data.join("lpips/alexnet.safetensors"));
+        self.lpips.clone().or(found.filter(|path| path.is_file()))
     }
 
     /// Writes `text` as `name` in the folder for tables and drawings, where one was given.

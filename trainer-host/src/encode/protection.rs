@@ -1,5 +1,7 @@
 //! Says how much parity which packets get: most where everything else depends on them.
 
+use std::fmt;
+
 use codec_core::internals::{ids::Level, limits, wire::manifest::Repair};
 
 /// Parity of one kind of packets: any `parity` losses of a set of `set_len` packets, or of its parity, are
@@ -37,6 +39,32 @@ pub struct Protection {
 pub struct ProtectionError {
     /// The part at fault.
     pub found: String,
+}
+
+/// As it is typed: what [`Protection::parse`] reads.
+impl fmt::Display for Protection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names = [
+            ("none", Self::NONE),
+            ("standard", Self::STANDARD),
+            ("strong", Self::STRONG),
+            ("full", Self::FULL),
+        ];
+        if let Some((name, _)) = names.iter().find(|(_, named)| named == self) {
+            return f.write_str(name);
+        }
+        let [first, second, third] = self.refinements;
+        let kinds = [("base", self.base), ("tracks", self.tracks), ("1", first), ("2", second), ("3", third)];
+        let kinds = kinds.iter().filter_map(|(kind, strength)| Some((kind, (*strength)?)));
+        for (index, (kind, strength)) in kinds.enumerate() {
+            let Strength { set_len, parity, loss_percent } = strength;
+            write!(f, "{}{kind}={set_len}+{parity}", if index > 0 { "," } else { "" })?;
+            if loss_percent > 0 {
+                write!(f, "@{loss_percent}%")?;
+            }
+        }
+        Ok(())
+    }
 }
 
 impl Protection {
@@ -192,6 +220,16 @@ fn beyond_repair(members: usize, parity: usize, loss: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_printed_is_read_back() {
+        for text in
+            ["none", "standard", "strong", "full", "base=16+8@10%,1=18+8", "tracks=8+2", "2=64+8,3=4+1"]
+        {
+            assert_eq!(Protection::parse(text).unwrap().to_string(), text);
+        }
+        assert_eq!(Protection::parse("tracks=8+2,base=16+4").unwrap().to_string(), "standard");
+    }
 
     #[test]
     fn words_and_lists_are_read_and_anything_else_is_named() {

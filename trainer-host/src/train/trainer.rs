@@ -84,32 +84,38 @@ struct Memory {
     instant: Instant,
 }
 
+/// What a training on `dataset` begins with, and `options` with what follows from the dataset filled in.
+fn begun(dataset: &Dataset, options: &TrainOptions) -> Result<(Model, Extent, TrainOptions), TrainError> {
+    options.validate()?;
+    let photographs = dataset.train.photographs();
+    if photographs.is_empty() {
+        return Err(TrainError::Empty { dataset: dataset.name.clone() });
+    }
+    start::check(dataset)?;
+    let mut options = options.clone();
+    if dataset.train.instants() < 2 {
+        options.nodes = 0;
+    }
+    let extent = Extent::of(&dataset.start, photographs);
+    let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
+    let begun = start::gaussians(&dataset.start, photographs, &extent, &options, &mut rng);
+    options.initial_gaussians = begun.gaussians.len().max(1);
+    let gaussians = TrainedGaussians::new(&begun, options.degree());
+    let count = gaussians.len();
+    let nodes = ControlNodes::none(TemporalBasis::default(), extent.half_side as f32);
+    let footprint = *options.footprint.get_or_insert(dataset.footprint);
+    Ok((Model { gaussians, nodes, followed: vec![None; count], footprint }, extent, options))
+}
+
 impl<'a> Trainer<'a> {
     /// Prepares to train on `dataset`.
     ///
     /// # Errors
     /// An option out of range, an empty training split, or a dataset that no training can finish with.
     pub fn new(dataset: &'a Dataset, options: &TrainOptions) -> Result<Self, TrainError> {
-        options.validate()?;
+        let (model, extent, options) = begun(dataset, options)?;
         let photographs = dataset.train.photographs();
-        if photographs.is_empty() {
-            return Err(TrainError::Empty { dataset: dataset.name.clone() });
-        }
-        start::check(dataset)?;
-        let mut options = options.clone();
-        if dataset.train.instants() < 2 {
-            options.nodes = 0;
-        }
-        let extent = Extent::of(&dataset.start, photographs);
-        let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
-        let begun = start::gaussians(&dataset.start, photographs, &extent, &options, &mut rng);
-        options.initial_gaussians = begun.gaussians.len().max(1);
-        let gaussians = TrainedGaussians::new(&begun, options.degree());
-        let count = gaussians.len();
-        let nodes = ControlNodes::none(TemporalBasis::default(), extent.half_side as f32);
         let moves = options.nodes > 0 && !dataset.has_alpha;
-        let footprint = *options.footprint.get_or_insert(dataset.footprint);
-        let model = Model { gaussians, nodes, followed: vec![None; count], footprint };
         let exposures = exposure::of_views(dataset, options.rates.exposure);
         let state = State::begun(model, Exposures::neutral(exposure::count(&exposures)));
         let order = ViewOrder::new(photographs.len(), options.seed);
@@ -129,6 +135,14 @@ impl<'a> Trainer<'a> {
             exposures,
             memory: Memory::default(),
         })
+    }
+
+    /// The scene that a training on `dataset` begins with, before its first step.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`].
+    pub fn start(dataset: &Dataset, options: &TrainOptions) -> Result<Model, TrainError> {
+        begun(dataset, options).map(|(model, ..)| model)
     }
 
     /// The same, with pictures and their gradients made by `backend`; without it, by the processor.

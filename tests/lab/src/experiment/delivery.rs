@@ -6,7 +6,7 @@ mod photographs;
 use std::ops::ControlFlow::Continue;
 
 use anyhow::Result;
-use render_host::{Backend, Settings};
+use render_host::{Backend, Image, Settings};
 use trainer_host::{
     Scene,
     encode::{self, EncodeOptions, Encoded, Protection},
@@ -92,6 +92,8 @@ pub(super) struct Study {
     pub scene: Scene,
     pub training: Vec<Reference>,
     pub test: Vec<Reference>,
+    /// What follows each test picture: the next frame from its camera, where there is one.
+    pub following: Vec<Option<Image>>,
     pub encoded: Encoded,
     /// How the scene is encoded, at first and while it is trained.
     pub coding: EncodeOptions,
@@ -123,9 +125,20 @@ impl Study {
         let all: Vec<u32> = (0..=last).collect();
         let training = pictures(Ring::Validation, size.cameras, &all)?;
         let test = pictures(Ring::HeldOut, 2, &[last / 3, last])?;
+        let settings = Settings::default();
+        let next = |reference: &Reference| -> Result<Option<Image>> {
+            let frame = reference.frame + 1;
+            if frame > last {
+                return Ok(None);
+            }
+            let mut pictures =
+                evaluator::references(&truth, &[frame], &reference.camera, &settings, &Backend::Cpu)?;
+            Ok(pictures.pop())
+        };
+        let following = test.iter().map(next).collect::<Result<_>>()?;
         let coding = coding();
         let encoded = encode::encode(&scene, &coding, &trainer_host::encode::no_progress)?;
-        Ok(Self { scene, training, test, encoded, coding, size })
+        Ok(Self { scene, training, test, following, encoded, coding, size })
     }
 
     /// The same with parity of `repair`.

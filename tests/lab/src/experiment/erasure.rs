@@ -1,11 +1,14 @@
 //! Erasure study: a scene trained for delivery against the same scene trained without, in the same states.
 
+mod appearance;
+
 use anyhow::Result;
 use trainer_host::{
     encode::Protection,
     train::delivery::{DeliveryOptions, Evaluation, FineTuned, LossModel, Validation, Variant},
 };
 
+use self::appearance::{Appearance, Measured, Network};
 use super::delivery::{BURST, Size, Study};
 use crate::{
     figures::{Bench, Figure, bootstrap95, mean},
@@ -17,27 +20,31 @@ const IID_PERCENT: [f64; 5] = [1.0, 2.0, 5.0, 10.0, 20.0];
 /// Shares of bursts, percent.
 const BURST_PERCENT: [f64; 2] = [5.0, 10.0];
 
+/// What is measured of one loss.
+#[derive(Clone, Debug)]
+struct Tested {
+    evaluation: Evaluation,
+    appearance: Appearance,
+}
+
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
     let size = Size::of(setup);
     let size = Size { seeds: if setup.quick { 1 } else { size.seeds }, ..size };
-    let mut bench = Bench::new(
-        "erasure",
-        "trained: variant mixed, the candidate that validation takes; untrained: variant reconstruction with \
-         as many complete pictures per update as mixed has worlds, taken by the same rule; the same states \
-         per loss for both; no retransmission, `repaired`: with the parity that streams have by default when \
-         they are sent, `strong` and `full`: with `--repair` of that name; PSNR on held-out pictures, drop: \
-         below the own complete state, cliffs: states more than 3 dB below it; gain: mean over states \
-         of trained less untrained, paired bootstrap over states",
-    );
+    let network = Network::of(setup)?;
+    let mut bench = Bench::new("erasure", protocol(network.as_ref()));
+    if network.is_none() {
+        bench.skipped.push("LPIPS: no weights of it are here (see --lpips)".into());
+    }
+    let network = network.as_ref();
     let sheet = Study::make(size)?;
     let words = size.words();
-    measure(&mut bench, ("", &words), &sheet)?;
+    measure(&mut bench, ("", &words), &sheet, network)?;
     let sheet = sheet.protected(Protection::STANDARD)?;
-    measure(&mut bench, ("repaired.", "the same"), &sheet)?;
+    measure(&mut bench, ("repaired.", "the same"), &sheet, network)?;
     let sheet = sheet.protected(Protection::STRONG)?;
-    measure(&mut bench, ("strong.", "the same"), &sheet)?;
-    measure(&mut bench, ("full.", "the same"), &sheet.protected(Protection::FULL)?)?;
+    measure(&mut bench, ("strong.", "the same"), &sheet, network)?;
+    measure(&mut bench, ("full.", "the same"), &sheet.protected(Protection::FULL)?, network)?;
     if setup.quick {
         return Ok(bench);
     }
@@ -45,21 +52,43 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     if let Some(path) = setup.data(folder, &mut bench)? {
         let study = Study::of_photographs(&path, Size { seeds: 1, ..size })?;
         let words = study.photographs_in_words(name);
-        measure(&mut bench, ("bouncingballs.", &words), &study)?;
+        measure(&mut bench, ("bouncingballs.", &words), &study, network)?;
         let mut study = study;
         let levels =
             [("repaired", Protection::STANDARD), ("strong", Protection::STRONG), ("full", Protection::FULL)];
         for (prefix, repair) in levels {
             study = study.protected(repair)?;
             let words = format!("the same, {} packets", study.encoded.stream.packets().len());
-            measure(&mut bench, (&format!("bouncingballs.{prefix}."), &words), &study)?;
+            measure(&mut bench, (&format!("bouncingballs.{prefix}."), &words), &study, network)?;
         }
     }
     Ok(bench)
 }
 
+fn protocol(network: Option<&Network>) -> String {
+    let lpips = network.map_or(String::new(), |network| {
+        format!(" and, of the first {} states of each loss, LPIPS (AlexNet)", network.states)
+    });
+    format!(
+        "trained: variant mixed, the candidate that validation takes; untrained: variant reconstruction with \
+         as many complete pictures per update as mixed has worlds, taken by the same rule; the same states \
+         per loss for both; no retransmission, `repaired`: with the parity that streams have by default when \
+         they are sent, `strong` and `full`: with `--repair` of that name; PSNR on held-out pictures, drop: \
+         below the own complete state, cliffs: states more than 3 dB below it; FLIP{lpips} of the same \
+         pictures; flicker: change to the next frame in the same state that the reference does not have, \
+         times 1000 (no photograph follows another: what changes there is of renders of the scene before \
+         either training); rise: above the own complete state; gain: mean over states of trained less \
+         untrained PSNR, difference: the same of another measure; both with paired bootstrap over states"
+    )
+}
+
 /// Adds the figures of one study, their keys after `prefix`.
-fn measure(bench: &mut Bench, (prefix, words): (&str, &str), study: &Study) -> Result<()> {
+fn measure(
+    bench: &mut Bench,
+    (prefix, words): (&str, &str),
+    study: &Study,
+    network: Option<&Network>,
+) -> Result<()> {
     let iid =
         IID_PERCENT.map(|percent| (format!("iid{percent}"), LossModel::Iid { probability: percent / 100.0 }));
     let burst = BURST_PERCENT.map(|percent| {
@@ -86,10 +115,12 @@ fn measure(bench: &mut Bench, (prefix, words): (&str, &str), study: &Study) -> R
         pairs.push([study.train(&options(Variant::Combined))?, study.train(&complete)?]);
     }
     for ((name, _), masks) in losses.iter().zip(&masks) {
-        let mut found: [Vec<Evaluation>; 2] = Default::default();
+        let mut found: [Vec<Tested>; 2] = Default::default();
         for pair in &pairs {
             for (found, tuned) in found.iter_mut().zip(pair) {
-                found.push(study.evaluate(tuned, masks)?);
+                let evaluation = study.evaluate(tuned, masks)?;
+                let appearance = Appearance::of(study, tuned, masks, network)?;
+                found.push(Tested { evaluation, appearance });
             }
         }
         push(bench, &format!("{prefix}{name}"), &found);
@@ -97,8 +128,21 @@ fn measure(bench: &mut Bench, (prefix, words): (&str, &str), study: &Study) -> R
     Ok(())
 }
 
-/// Adds the figures of one loss: evaluations of trained and untrained scenes, seed by seed.
-fn push(bench: &mut Bench, name: &str, [trained, untrained]: &[Vec<Evaluation>; 2]) {
+/// Adds the figures of one loss: what trained and untrained scenes come to, seed by seed.
+fn push(bench: &mut Bench, name: &str, tested: &[Vec<Tested>; 2]) {
+    let evaluations = tested.each_ref().map(|all| all.iter().map(|t| t.evaluation.clone()).collect());
+    push_psnr(bench, name, &evaluations);
+    let measures = |of: fn(&Appearance) -> Option<&Measured>| {
+        tested.each_ref().map(|all| all.iter().filter_map(|t| of(&t.appearance)).cloned().collect())
+    };
+    push_measure(bench, &format!("{name}.flip"), "", &measures(|a| Some(&a.flip)));
+    push_measure(bench, &format!("{name}.lpips"), "", &measures(|a| a.lpips.as_ref()));
+    push_measure(bench, &format!("{name}.flicker"), "x 10^-3", &measures(|a| Some(&a.flicker)));
+}
+
+/// Adds the figures of PSNR.
+fn push_psnr(bench: &mut Bench, name: &str, evaluations: &[Vec<Evaluation>; 2]) {
+    let [trained, untrained] = evaluations;
     let over_seeds =
         |all: &[Evaluation], value: fn(&Evaluation) -> f64| mean(&all.iter().map(value).collect::<Vec<_>>());
     let mut figure = |key: &str, unit: &str, value: fn(&Evaluation) -> f64| {
@@ -114,18 +158,55 @@ fn push(bench: &mut Bench, name: &str, [trained, untrained]: &[Vec<Evaluation>; 
     figure("drop", "dB", |e| e.clean_db - e.mean_db());
     figure("worst10", "dB", Evaluation::worst_tenth_db);
     figure("cliffs", "of states", Evaluation::cliffs);
-    // A state's gain is its mean over seeds: states are what is drawn again.
     let states = trained.first().map_or(0, |e| e.worlds_db.len());
-    let gain = |state: usize| {
-        let each = trained.iter().zip(untrained).map(|(a, b)| a.worlds_db[state] - b.worlds_db[state]);
-        mean(&each.collect::<Vec<_>>())
-    };
-    let gains: Vec<f64> = (0..states).map(gain).collect();
-    let mut gain = Figure::new(format!("{name}.gain"), mean(&gains), "dB").runs(trained.len());
-    gain.ci95 = bootstrap95(&gains, mean, 1);
-    bench.push(gain);
+    let gains = differences(evaluations, states, |e, state| e.worlds_db[state]);
+    bench.push(difference(format!("{name}.gain"), "dB", &gains, trained.len()));
     let wins = gains.iter().filter(|&&gain| gain > 0.0).count() as f64 / gains.len().max(1) as f64;
     bench.push(Figure::new(format!("{name}.wins"), wins, "of states"));
+    let drops = differences(evaluations, states, |e, state| e.clean_db - e.worlds_db[state]);
+    bench.push(difference(format!("{name}.drop_difference"), "dB", &drops, trained.len()));
+    let cliffs = differences(evaluations, states, |e, state| f64::from(u8::from(e.is_cliff(state))));
+    bench.push(difference(format!("{name}.cliffs_difference"), "of states", &cliffs, trained.len()));
+}
+
+/// Adds the figures of one measure, of which less is better; none where it was not taken.
+fn push_measure(bench: &mut Bench, name: &str, unit: &str, measured: &[Vec<Measured>; 2]) {
+    let [trained, untrained] = measured;
+    let Some(states) = trained.first().map(|m| m.states.len()) else { return };
+    let over_seeds =
+        |all: &[Measured], value: fn(&Measured) -> f64| mean(&all.iter().map(value).collect::<Vec<_>>());
+    let mut figure = |key: String, value: fn(&Measured) -> f64| {
+        let (ours, other) = (over_seeds(trained, value), over_seeds(untrained, value));
+        bench.push(Figure::new(key, ours, unit).peer("untrained", other, true));
+    };
+    figure(format!("{name}_clean"), |m| m.complete);
+    figure(name.to_owned(), Measured::mean);
+    figure(format!("{name}_rise"), |m| m.mean() - m.complete);
+    let absolute = differences(measured, states, |m, state| m.states[state]);
+    bench.push(difference(format!("{name}_difference"), unit, &absolute, trained.len()));
+    let rises = differences(measured, states, |m, state| m.states[state] - m.complete);
+    bench.push(difference(format!("{name}_rise_difference"), unit, &rises, trained.len()));
+}
+
+/// Per state, `value` of trained less that of untrained scenes, mean over seeds: states are what is drawn
+/// again.
+fn differences<T>(
+    [trained, untrained]: &[Vec<T>; 2],
+    states: usize,
+    value: impl Fn(&T, usize) -> f64,
+) -> Vec<f64> {
+    let of = |state: usize| {
+        let each = trained.iter().zip(untrained).map(|(a, b)| value(a, state) - value(b, state));
+        mean(&each.collect::<Vec<_>>())
+    };
+    (0..states).map(of).collect()
+}
+
+/// The mean of paired differences with its interval.
+fn difference(key: String, unit: &str, differences: &[f64], seeds: usize) -> Figure {
+    let mut figure = Figure::new(key, mean(differences), unit).runs(seeds);
+    figure.ci95 = bootstrap95(differences, mean, 1);
+    figure
 }
 
 #[cfg(test)]
@@ -136,18 +217,55 @@ mod tests {
         Evaluation { clean_db, worlds_db: worlds_db.to_vec(), wire_bytes: 1, violations: 0 }
     }
 
+    fn measured(complete: f64, states: &[f64]) -> Measured {
+        Measured { complete, states: states.to_vec() }
+    }
+
+    fn value<'b>(bench: &'b Bench, key: &str) -> &'b Figure {
+        bench.figures.iter().find(|f| f.key == key).unwrap()
+    }
+
     #[test]
     fn gains_are_paired_by_state_and_averaged_over_seeds() {
         let mut bench = Bench::new("erasure", "test");
         let trained = vec![evaluation(30.0, &[29.0, 20.0, 28.0]), evaluation(30.0, &[29.5, 21.0, 28.0])];
         let untrained = vec![evaluation(31.0, &[28.0, 21.0, 28.0]), evaluation(31.0, &[28.5, 21.0, 27.0])];
-        push(&mut bench, "x", &[trained, untrained]);
-        let value = |key: &str| bench.figures.iter().find(|f| f.key == key).unwrap();
-        // Gains of the states: 1, -0.5, 0.5.
+        push_psnr(&mut bench, "x", &[trained, untrained]);
+        let value = |key: &str| value(&bench, key);
+        // Gains of the states: 1, -0.5, 0.5; of drops each is 1 dB more, as the complete state is 1 dB worse.
         assert!((value("x.gain").value - 1.0 / 3.0).abs() < 1e-12);
+        assert!((value("x.drop_difference").value + 4.0 / 3.0).abs() < 1e-12);
         assert!((value("x.wins").value - 2.0 / 3.0).abs() < 1e-12);
         assert!((value("x.cliffs").value - 1.0 / 3.0).abs() < 1e-12);
+        // Of the untrained, 20 falls as it does of the trained, and 27 besides, once in six.
+        assert!((value("x.cliffs_difference").value + 1.0 / 6.0).abs() < 1e-12);
         assert_eq!(value("x.clean").peer_value, Some(31.0));
         assert!(value("x.drop").value < value("x.drop").peer_value.unwrap());
+        let [low, high] = value("x.gain").ci95.unwrap();
+        assert!((-0.5..=1.0).contains(&low) && low < high && high <= 1.0);
+    }
+
+    #[test]
+    fn other_measures_are_paired_alike_absolute_and_above_the_own_complete_state() {
+        let mut bench = Bench::new("erasure", "test");
+        let trained = vec![measured(0.02, &[0.03, 0.05]), measured(0.02, &[0.03, 0.07])];
+        let untrained = vec![measured(0.01, &[0.04, 0.08]), measured(0.01, &[0.04, 0.08])];
+        push_measure(&mut bench, "x.flip", "", &[trained, untrained]);
+        let close = |key: &str, expected: f64| {
+            let found = value(&bench, key).value;
+            assert!((found - expected).abs() < 1e-12, "{key}: {found}");
+        };
+        close("x.flip_clean", 0.02);
+        close("x.flip", 0.045);
+        close("x.flip_rise", 0.025);
+        // States: 0.01 and 0.02 less; above the own complete state another 0.01 less.
+        close("x.flip_difference", -0.015);
+        close("x.flip_rise_difference", -0.025);
+        let ratio = value(&bench, "x.flip").ratio.unwrap();
+        assert!((ratio - 0.06 / 0.045).abs() < 1e-9, "above 1 is better: {ratio}");
+        let [low, high] = value(&bench, "x.flip_difference").ci95.unwrap();
+        assert!((low + 0.02).abs() < 1e-9 && (high + 0.01).abs() < 1e-9, "{low} {high}");
+        push_measure(&mut bench, "x.lpips", "", &[Vec::new(), Vec::new()]);
+        assert!(!bench.figures.iter().any(|f| f.key.contains("lpips")), "without weights");
     }
 }

@@ -53,9 +53,14 @@ impl Evaluation {
         quantile(&sorted, 0.1)
     }
 
+    /// Whether state `state` is more than 3 dB below the complete one; none that is not there is.
+    pub fn is_cliff(&self, state: usize) -> bool {
+        self.worlds_db.get(state).is_some_and(|&db| db < self.clean_db - CLIFF_DB)
+    }
+
     /// Share of states more than 3 dB below the complete one, 0..=1.
     pub fn cliffs(&self) -> f64 {
-        let fallen = self.worlds_db.iter().filter(|&&db| db < self.clean_db - CLIFF_DB).count();
+        let fallen = (0..self.worlds_db.len()).filter(|&state| self.is_cliff(state)).count();
         fallen as f64 / self.worlds_db.len().max(1) as f64
     }
 }
@@ -86,15 +91,7 @@ pub(super) fn evaluate_coded(
 ) -> Result<Evaluation, DeliveryError> {
     let encoded = &moving.coded().encoded;
     let sampler = Sampler::new(&encoded.stream, super::config::LossUnit::Packet)?;
-    let blocks = sampler.complete().len();
-    if let Some(state) = masks.states.iter().find(|state| state.len() != blocks) {
-        let found = format!("a state of {} blocks", state.len());
-        return Err(DeliveryError::Setting {
-            field: "masks",
-            found,
-            allowed: "states of the stream's blocks",
-        });
-    }
+    masks.check(sampler.complete().len())?;
     if references.is_empty() {
         return Err(DeliveryError::NoReference { found: 0, purpose: "evaluation" });
     }

@@ -52,6 +52,8 @@ pub struct FineTuned {
     /// What the encoder chose for it: [`encode::write`](crate::encode::write) with these gives the stream
     /// that was trained for.
     pub decisions: Decisions,
+    /// What the encoder chose for the scene as it was given.
+    pub given: Decisions,
     /// What was fixed, measured and chosen.
     pub record: Record,
 }
@@ -153,7 +155,7 @@ pub fn resume(
             return Err(DeliveryError::Diverged { update, found: heard.objective });
         }
         at.objective.push(heard.objective);
-        at.last_terms = terms;
+        at.terms.push(terms);
         let share = update as f64 / options.updates as f64;
         at.steps.observe(&gradient.steps);
         at.adam.step(
@@ -177,11 +179,12 @@ pub fn resume(
         registration,
         worlds,
         objective: at.objective,
-        last_terms: at.last_terms,
+        terms: at.terms,
         taken: select(&at.candidates),
         candidates: at.candidates,
     };
-    Ok(FineTuned { scene: parameters.applied(scene)?, decisions, record })
+    let given = coding.decisions;
+    Ok(FineTuned { scene: parameters.applied(scene)?, decisions, given, record })
 }
 
 /// How a scene is coded while its parameters and steps change.

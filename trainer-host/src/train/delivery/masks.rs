@@ -30,6 +30,13 @@ impl Masks {
         hash(self.states.iter())
     }
 
+    /// Refuses states that are not of a stream of `blocks` blocks.
+    pub(super) fn check(&self, blocks: usize) -> Result<(), DeliveryError> {
+        let Some(state) = self.states.iter().find(|state| state.len() != blocks) else { return Ok(()) };
+        let (field, found) = ("masks", format!("a state of {} blocks", state.len()));
+        Err(DeliveryError::Setting { field, found, allowed: "states of the stream's blocks" })
+    }
+
     /// `count` states of `stream` after `loss` by packets or by groups, from `seed`.
     ///
     /// # Errors

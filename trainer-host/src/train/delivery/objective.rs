@@ -24,20 +24,21 @@ use super::{
 /// Worlds that are differentiated at once, on any number of threads.
 const AT_ONCE: usize = 4;
 
-/// The terms of the objective, before weights.
-#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-pub(super) struct Terms {
+/// The terms of the objective of one update, before weights: what the paper's section 4 names. D is
+/// `MSE + structure (1 − SSIM)`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Terms {
     /// E\[D\] over worlds.
     pub expected: f64,
     /// CVaR of D over worlds.
     pub tail: f64,
     /// R, kilobits per Gaussian; 0 where it has no weight.
     pub rate: f64,
-    /// F, mean over worlds; 0 where it has no weight.
+    /// F, squared errors of the change to the next frame, mean over worlds; 0 where it has no weight.
     pub temporal: f64,
-    /// M.
+    /// M, what longer prefixes lack to shorter ones.
     pub monotone: f64,
-    /// D of each prefix; 0 where none counts.
+    /// D of what arrives up to level 0, 1, 2, 3, the last of which is complete; 0 where none counts.
     pub prefixes: [f64; PREFIXES],
 }
 

@@ -74,8 +74,8 @@ pub struct Record {
     pub worlds: String,
     /// Objective of each update.
     pub objective: Vec<f64>,
-    /// Terms of the last update's objective.
-    pub(super) last_terms: Terms,
+    /// Its terms, update by update.
+    pub terms: Vec<Terms>,
     /// What validation saw; empty without.
     pub candidates: Vec<Candidate>,
     /// Which of the candidates was taken.

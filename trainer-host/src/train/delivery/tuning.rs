@@ -24,7 +24,7 @@ use crate::{
 };
 
 const MAGIC: &str = "DGSTUNED";
-const VERSION: u16 = 1;
+const VERSION: u16 = 2;
 
 /// A fine-tuning between two updates.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -42,7 +42,7 @@ pub struct Tuning {
     /// form names itself.
     best: Option<(Parameters, String)>,
     pub(super) objective: Vec<f64>,
-    pub(super) last_terms: Terms,
+    pub(super) terms: Vec<Terms>,
 }
 
 /// What a fine-tuning depends on, as hashes.
@@ -114,7 +114,7 @@ impl Tuning {
             candidates: Vec::new(),
             best: None,
             objective: Vec::new(),
-            last_terms: Terms::default(),
+            terms: Vec::new(),
         }
     }
 
@@ -137,12 +137,33 @@ impl Tuning {
             && self.steps.is_sound(&coded.encoded.decisions)
             && self.updates <= updates
             && self.objective.len() == self.updates
+            && self.terms.len() == self.updates
             && self.best.is_some() != self.candidates.is_empty();
         if sound {
             Ok(self)
         } else {
             Err(DeliveryError::Resumed { what: "numbers of Gaussians, steps or updates are" })
         }
+    }
+
+    /// Updates made.
+    pub fn updates(&self) -> usize {
+        self.updates
+    }
+
+    /// The objective of each update.
+    pub fn objective(&self) -> &[f64] {
+        &self.objective
+    }
+
+    /// Terms of the objective, update by update.
+    pub fn terms(&self) -> &[Terms] {
+        &self.terms
+    }
+
+    /// What validation has seen.
+    pub fn candidates(&self) -> &[Candidate] {
+        &self.candidates
     }
 
     /// Adds a candidate, the scene of now by `decisions`.

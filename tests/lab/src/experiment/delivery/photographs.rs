@@ -3,9 +3,11 @@
 use std::path::Path;
 
 use anyhow::Result;
+use render_host::{Backend, Image, Settings};
 use trainer_host::{
     Scene,
     encode::{self, EncodeOptions},
+    evaluator,
     train::{self, Dataset, PosedPhotograph, TrainOptions, Trainer, Views, delivery::Reference},
 };
 
@@ -31,10 +33,11 @@ impl Study {
         let (dataset, scene) = trained(path)?;
         let training = references(&scene, &dataset.train.sample(TRAINING))?;
         let test = references(&scene, &dataset.test.sample(TEST))?;
+        let following = test.iter().map(|reference| next(&scene, reference)).collect::<Result<_>>()?;
         let coding = EncodeOptions::default();
         let encoded = encode::encode(&scene, &coding, &trainer_host::encode::no_progress)?;
         let size = Size { gaussians: scene.max_count(), frames: scene.frames(), side: SIDE, ..size };
-        Ok(Self { scene, training, test, encoded, coding, size })
+        Ok(Self { scene, training, test, following, encoded, coding, size })
     }
 
     /// As a protocol says it.
@@ -71,6 +74,20 @@ pub(in crate::experiment) fn trained(path: &Path) -> Result<(Dataset, Scene)> {
     }
     let scene = trainer.model().scene(dataset.frames, 30.0)?;
     Ok((dataset, scene))
+}
+
+/// What would be seen a frame after `reference`: it, and what changes there in renders of `scene`, since no
+/// photograph was taken then.
+fn next(scene: &Scene, reference: &Reference) -> Result<Option<Image>> {
+    let Reference { frame, camera, background, picture } = reference;
+    if *frame as usize + 1 >= scene.frames() {
+        return Ok(None);
+    }
+    let settings = Settings::over(*background);
+    let renders = evaluator::references(scene, &[*frame, frame + 1], camera, &settings, &Backend::Cpu)?;
+    let changes = renders[1].rgb().iter().zip(renders[0].rgb()).map(|(after, before)| after - before);
+    let values = picture.rgb().iter().zip(changes).map(|(value, change)| value + change).collect();
+    Ok(Some(Image::new(picture.width(), picture.height(), values)?))
 }
 
 /// Photographs as pictures of frames of `scene` over white.

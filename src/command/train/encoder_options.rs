@@ -1,0 +1,169 @@
+//! Remembers with which options of the encoder a training was begun or its stream was made, so that going on
+//! with others does not pass unnoticed.
+
+use std::{collections::BTreeMap, path::Path};
+
+use anyhow::{Context, Result};
+use serde::{Deserialize, Serialize};
+
+use super::{encoding::steps_are_typed, folder::Folder};
+use crate::{args::train::Train, files};
+
+/// What stands for an option that was not typed.
+const NONE: &str = "none";
+
+/// Options of the encoder by name, each as it is typed.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub(super) struct EncoderOptions(BTreeMap<String, String>);
+
+impl EncoderOptions {
+    /// Those of `args`, where a training already keeps to a size of `target_bytes` unless it is 0.
+    pub(super) fn of(args: &Train, target_bytes: u64) -> Self {
+        let mut options: BTreeMap<String, String> =
+            args.codec.values().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        let optional = |value: Option<String>| value.unwrap_or_else(|| NONE.to_owned());
+        options.insert("--encoding-loss".to_owned(), args.encoding_loss.to_string());
+        options.insert("--frames".to_owned(), optional(args.frames.map(|frames| frames.to_string())));
+        options.insert("--delivery".to_owned(), optional(args.delivery.clone()));
+        if target_bytes > 0 && !steps_are_typed(args) {
+            options.entry("--target-bytes".to_owned()).and_modify(|value| {
+                if value == NONE {
+                    *value = target_bytes.to_string();
+                }
+            });
+        }
+        Self(options)
+    }
+
+    /// Those of the file at `path`; nothing where there is none.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or holds something else.
+    pub(super) fn read(path: &Path) -> Result<Option<Self>> {
+        if !path.is_file() {
+            return Ok(None);
+        }
+        let failed = || path.display().to_string();
+        Ok(Some(serde_json::from_slice(&std::fs::read(path).with_context(failed)?).with_context(failed)?))
+    }
+
+    /// Writes them to `path`.
+    ///
+    /// # Errors
+    /// What the system says about the path.
+    pub(super) fn write(&self, path: &Path) -> Result<()> {
+        files::write(path, serde_json::to_string_pretty(self)?.as_bytes())
+    }
+
+    /// Takes them up in a training: writes them to the file at `path` where it begins, and says where it goes
+    /// on how they differ from those of that file.
+    ///
+    /// # Errors
+    /// As [`EncoderOptions::read`] and [`EncoderOptions::write`].
+    pub(super) fn taken_up(&self, path: &Path, resumes: bool) -> Result<Option<String>> {
+        if !resumes {
+            return self.write(path).map(|()| None);
+        }
+        let changes = Self::read(path)?.map(|before| self.changes(&before)).unwrap_or_default();
+        Ok((!changes.is_empty()).then(|| {
+            format!(
+                "--resume: options of the encoder are not those that the training had: {}; scene.dgs is \
+                 written with these",
+                changes.join(", ")
+            )
+        }))
+    }
+
+    /// A note where a training goes on, nothing says what it was encoded with, and `stream` replaces another.
+    pub(super) fn replaced(args: &Train, folder: &Folder, stream: &[u8]) -> Option<String> {
+        let is_unknown = args.resume && !folder.encoder.is_file();
+        let differs = || std::fs::read(&folder.stream).is_ok_and(|before| before != stream);
+        (is_unknown && differs()).then(|| {
+            format!(
+                "{}: is another than before: {} is not there to say which options of the encoder it had",
+                folder.stream.display(),
+                folder.encoder.display()
+            )
+        })
+    }
+
+    /// What differs from `before`, for people: "--coarseness 2 (before: 1)". That what was trained is
+    /// fine-tuned for delivery now is no difference.
+    pub(super) fn changes(&self, before: &Self) -> Vec<String> {
+        let differs = |(name, value): &(&String, &String)| {
+            let then = before.0.get(*name);
+            then != Some(value) && !(*name == "--delivery" && then.is_none_or(|then| then == NONE))
+        };
+        let said = |(name, value): (&String, &String)| {
+            let then = before.0.get(name).map_or("not known", String::as_str);
+            format!("{name} {value} (before: {then})")
+        };
+        self.0.iter().filter(differs).map(said).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+
+    #[derive(Debug, clap::Parser)]
+    struct Typed {
+        #[command(flatten)]
+        train: Train,
+    }
+
+    fn of(args: &str, target_bytes: u64) -> EncoderOptions {
+        let typed = Typed::try_parse_from(["train", "scene"].into_iter().chain(args.split_whitespace()));
+        EncoderOptions::of(&typed.unwrap().train, target_bytes)
+    }
+
+    #[test]
+    fn every_option_of_the_encoder_makes_a_difference() {
+        let plain = of("", 0);
+        for typed in [
+            "--profile paper",
+            "--coarseness 2",
+            "--target-bits-per-gaussian 80",
+            "--target-bytes 3000",
+            "--target-psnr 40",
+            "--pictures 0",
+            "--search 24",
+            "--cluster-size 64",
+            "--block-len 16",
+            "--window-frames 8",
+            "--rank 2",
+            "--packet-bytes 400",
+            "--repair-set 8",
+            "--repair full",
+            "--encoding-loss 0.2",
+            "--frames 12",
+        ] {
+            let changes = of(typed, 0).changes(&plain);
+            assert_eq!(changes.len(), 1, "{typed}: {changes:?}");
+            let name = typed.split(' ').next().unwrap();
+            assert!(changes[0].starts_with(name) && changes[0].contains("(before: "), "{changes:?}");
+        }
+        assert!(of("--steps 9 --seed 3", 0).changes(&plain).is_empty(), "these are not the encoder's");
+    }
+
+    #[test]
+    fn a_size_that_is_trained_for_stays_and_fine_tuning_what_was_trained_is_no_change() {
+        let sized = of("--target-bytes 3000", 0);
+        assert_eq!(of("", 3000), sized, "left out, it is that of the training");
+        assert_eq!(of("--coarseness 2", 3000).changes(&sized).len(), 2);
+        assert!(of("--delivery iid", 0).changes(&of("", 0)).is_empty());
+        let back = of("", 0).changes(&of("--delivery iid", 0));
+        assert_eq!(back, ["--delivery none (before: iid)"]);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("encoder.json");
+        assert_eq!(EncoderOptions::read(&path).unwrap(), None);
+        sized.write(&path).unwrap();
+        assert_eq!(EncoderOptions::read(&path).unwrap(), Some(sized));
+        std::fs::write(&path, "[1]").unwrap();
+        let error = EncoderOptions::read(&path).unwrap_err().to_string();
+        assert!(error.contains("encoder.json"), "{error}");
+    }
+}

@@ -1,0 +1,66 @@
+//! `dgs train` and the options of the encoder: sizes that are met or refused, and going on with others.
+
+use std::fs;
+
+use super::{ok, refused, train};
+
+/// A size that is larger or smaller than what the training has rounded for is met all the same.
+#[test]
+fn sizes_are_met_where_motion_alone_does_not_lead_there() {
+    let folder = tempfile::tempdir().unwrap();
+    for bytes in [3000u64, 400_000] {
+        let typed = bytes.to_string();
+        let args = ["-o", "out", "--overwrite", "--json", "--target-bytes", &typed];
+        let report: serde_json::Value = serde_json::from_str(&ok(folder.path(), &args)).unwrap();
+        assert!(report["bytes"].as_u64().is_some_and(|found| found <= bytes + bytes / 10), "{report}");
+    }
+}
+
+/// A size that not even one Gaussian leaves room for is refused before anything is trained.
+#[test]
+fn sizes_that_no_stream_has_are_refused_before_training() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let error = refused(at, &["-o", "out", "--target-bytes", "20"]);
+    assert!(error.contains("--target-bytes is 20; ") && error.contains("one Gaussian"), "{error}");
+    assert!(!at.join("out").exists(), "nothing was begun");
+    fs::write(at.join("options.json"), r#"{"finish": {"target_bytes": 20}}"#).unwrap();
+    let error = refused(at, &["-o", "out", "--options", "options.json"]);
+    assert!(error.contains("--target-bytes is 20; "), "{error}");
+    // What is allowed by that may still be too little for what was trained: the checkpoint is there then.
+    let least: u64 = error.split("is 20; ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    assert!((21..2000).contains(&least), "{error}");
+    let error = refused(at, &["-o", "out", "--target-bytes", &(least + 20).to_string()]);
+    assert!(error.contains("the checkpoint is whole; --resume encodes it"), "{error}");
+    assert!(at.join("out/checkpoint.dgst").is_file() && !at.join("out/scene.dgs").exists());
+    ok(at, &["-o", "out", "--resume", "--target-bytes", "5000"]);
+}
+
+/// Going on with other options of the encoder is said once, and not where they are the same.
+#[test]
+fn other_options_of_the_encoder_are_said_where_a_training_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let heard = |args: &[&str]| {
+        let output = train(at, args);
+        assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let note = "options of the encoder are not those that the training had";
+    assert!(!heard(&["-o", "out"]).contains(note));
+    let stream = || fs::read(at.join("out/scene.dgs")).unwrap();
+    let first = stream();
+    assert!(!heard(&["-o", "out", "--resume"]).contains(note));
+    assert!(stream() == first);
+    let other = heard(&["-o", "out", "--resume", "--packet-bytes", "400"]);
+    assert_eq!(other.matches(note).count(), 1, "{other}");
+    assert!(other.contains("--packet-bytes 400 (before: 1150)"), "{other}");
+    assert!(stream() != first);
+    // From now on these are what it had.
+    assert!(!heard(&["-o", "out", "--resume", "--packet-bytes", "400"]).contains(note));
+    // A training of before the file was written says as much as it can.
+    fs::remove_file(at.join("out/encoder.json")).unwrap();
+    let unknown = heard(&["-o", "out", "--resume"]);
+    assert!(unknown.contains("scene.dgs: is another than before") && !unknown.contains(note), "{unknown}");
+    assert!(stream() == first);
+}
