@@ -25,7 +25,7 @@ export class DgsPlayer extends Attributes {
   #damage = "";
   #error = null;
   // What is requested of every stream, whether or not one has begun: as a session calls it.
-  #requested = { looping: true, rate: 1, cap: 3, overlay: OVERLAYS[0] };
+  #requested = { looping: true, rate: 1, cap: 3, overlay: OVERLAYS[0], keepsUp: true };
   // What is requested of the next stream alone: whether it plays, and from when; null where nobody has said.
   #next = { playing: null, time: null };
   #view = null;
@@ -78,7 +78,7 @@ export class DgsPlayer extends Attributes {
     if (name === "loop") this.loop = now !== "false";
     if (name === "background" && now) this.background = now;
     if (name === "quality" && now) this.quality = Number(now);
-    if (name === "adapt") this.#change("levelchange", (session) => (session.keepsUp = this.adaptive));
+    if (name === "adapt") this.#request("levelchange", { keepsUp: this.adaptive });
     if (name === "up") this.#turnUp(now ?? this.session?.upOfStream);
     if (name === "pixel-ratio" && this.#engine) {
       this.#engine.pixelRatio = this.pixelRatio;
@@ -206,7 +206,7 @@ export class DgsPlayer extends Attributes {
     }
     if (signal.aborted) return session.free();
     session.time = this.#startTime;
-    Object.assign(session, this.#requested, { keepsUp: this.adaptive });
+    Object.assign(session, this.#requested);
     this.dataset.decoding = session.decoding;
     if (view) session.setView(view);
     this.#error = null;
