@@ -255,15 +255,15 @@ fn files_are_replaced_and_folders_only_with_overwrite() {
     let at = folder.path();
     let scene = "synth:figure:500:2";
     for verb in [&["render", scene][..], &["compare", scene, scene, "--frames", "0..1"]] {
-        let into = |out: &str| [verb, &["-o", out], &SMALL[..]].concat();
         for _ in 0..2 {
-            ok(at, &into("a.apng"));
+            ok(at, &[verb, &["-o", "a.apng"], &SMALL[..]].concat());
         }
         let name = verb[0];
-        ok(at, &into(name));
-        let said = stopped(at, &into(name), 1);
+        let into_folder = [verb, &["-o", name], &SMALL[..]].concat();
+        ok(at, &into_folder);
+        let said = stopped(at, &into_folder, 1);
         assert!(said.contains("replace the frames in it with --overwrite"), "{said}");
-        ok(at, &[&into(name)[..], &["--overwrite"]].concat());
+        ok(at, &[&into_folder[..], &["--overwrite"]].concat());
         let help = ok(at, &[name, "--help"]);
         let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
         assert!(words.contains("that is there already; a file is replaced without it"), "{words}");
