@@ -173,7 +173,7 @@ fn play(bench: &mut Bench, gaussians: usize, runs: usize, quiet: Quiet) -> Resul
     ensure!(browser.complaints.is_empty(), "the page complains: {:?}", browser.complaints);
     drop(stop);
     drop(browser);
-    slow_link::run(bench, gaussians, &stream, runs)
+    slow_link::run(bench, gaussians, &stream, SIZE, runs)
 }
 
 /// Serves the page and `file` until what is returned is dropped.

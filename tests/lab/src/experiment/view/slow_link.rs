@@ -19,7 +19,6 @@ use emulator_host::{
 };
 use tokio::{runtime::Runtime, sync::oneshot};
 
-use super::SIZE;
 use crate::{
     browser::Browser,
     figures::{Bench, Figure, median},
@@ -41,13 +40,13 @@ const BASE: &str = "(async () => { const player = document.querySelector('dgs-pl
         if (player.firstFrameMs !== null && levels[0] === 0) return performance.now();\
         await new Promise((done) => setTimeout(done, 10)); } })()";
 
-/// Enters medians of `runs` pages one after the other.
-pub fn run(bench: &mut Bench, gaussians: usize, stream: &Stream, runs: usize) -> Result<()> {
+/// Enters medians of `runs` pages of `size`, one after the other.
+pub fn run(bench: &mut Bench, gaussians: usize, stream: &Stream, size: [u32; 2], runs: usize) -> Result<()> {
     let served = Served::start(stream)?;
     for (kind, query) in [("live", "transport=live"), ("ranges", "transport=file")] {
         let (mut firsts, mut bases) = (Vec::new(), Vec::new());
         for _ in 0..runs {
-            let mut browser = Browser::open(SIZE[0], SIZE[1])?;
+            let mut browser = Browser::open(size[0], size[1])?;
             if kind == "ranges" {
                 browser.hold_to(MBIT as f64 * 1e6, DELAY_MS as f64)?;
             }
