@@ -253,7 +253,7 @@ fn a_bound_on_clusters_that_is_of_no_use_is_said() {
 fn files_are_replaced_and_folders_only_with_overwrite() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    let scene = "synth:figure:500:2";
+    let scene = "synth:figure:1000:2";
     for verb in [&["render", scene][..], &["compare", scene, scene, "--frames", "0..1"]] {
         for _ in 0..2 {
             ok(at, &[verb, &["-o", "a.apng"], &SMALL[..]].concat());
