@@ -193,7 +193,7 @@ fn it_plays_scrubs_loops_and_ends() {
         .iter()
         .zip(["stand-ins", "base", "level 1", "level 2", "level 3"])
         .map(|(colour, name)| {
-            let [r, g, b] = colour.map(|c| (255.0 * c).round());
+            let [r, g, b] = colour.map(|c| (255.0 * f64::from(c)).round());
             format!("{name} rgb({r}, {g}, {b})")
         })
         .collect();
