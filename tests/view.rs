@@ -6,6 +6,8 @@
 #[path = "lab/src/browser.rs"]
 #[allow(dead_code, reason = "bench `view` uses the rest")]
 mod browser;
+#[path = "view/keep_up.rs"]
+mod keep_up;
 #[path = "view/live.rs"]
 mod live;
 #[path = "view/requests.rs"]
@@ -184,6 +186,18 @@ fn it_plays_scrubs_loops_and_ends() {
     assert_eq!(page.number("player.session.frame"), 14.0);
     page.browser.press("o").unwrap();
     assert_eq!(page.run("player.overlay"), "levels");
+    // Colours stand beside what they mean.
+    let legend = "[...player.shadowRoot.querySelectorAll('.painted li')].map((item) =>\
+        `${item.textContent} ${getComputedStyle(item.firstChild).backgroundColor}`).join('; ')";
+    let colours: Vec<_> = dgs_viewer::LEVEL_COLOURS
+        .iter()
+        .zip(["stand-ins", "base", "level 1", "level 2", "level 3"])
+        .map(|(colour, name)| {
+            let [r, g, b] = colour.map(|c| (255.0 * f64::from(c)).round());
+            format!("{name} rgb({r}, {g}, {b})")
+        })
+        .collect();
+    assert_eq!(page.run(legend), colours.join("; "));
     page.browser.press("o").unwrap();
     page.browser.press("o").unwrap();
     assert_eq!(page.run("player.overlay"), "missing");

@@ -53,7 +53,8 @@ pub struct CodecArgs {
     /// from validation cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
     #[arg(long, value_name = "ENCODINGS", default_value_t = 0)]
     pub search: usize,
-    /// Most Gaussians in a cluster: 1 to 32768.
+    /// Most Gaussians in a cluster: 1 to 32768. Sets of more than 192 that are spread out are cut whatever is
+    /// allowed; a note says so where no cluster comes near the bound.
     #[arg(
         long, default_value_t = CLUSTER_SIZE, value_parser = whole(1..=limits::MAX_CLUSTER_LEN, "Gaussians")
     )]

@@ -50,7 +50,8 @@ pub struct Convert {
     /// The frame for a single file [default: 0].
     #[arg(long, value_parser = whole::<u32>(0..=u32::MAX, "frames"))]
     pub frame: Option<u32>,
-    /// Replace a folder of frames that is there already, or a .bin of something else where a .gltf goes.
+    /// Replace a folder of frames that is there already, or a .bin of something else where a .gltf goes; a
+    /// file is replaced without it.
     #[arg(long)]
     pub overwrite: bool,
     /// How to read the scene.

@@ -48,7 +48,7 @@ pub struct Render {
     /// Where to look from.
     #[command(flatten)]
     pub cameras: CameraArgs,
-    /// Replace a folder of images that is there already.
+    /// Replace a folder of images that is there already; a file is replaced without it.
     #[arg(long)]
     pub overwrite: bool,
     /// What renders the images; gpu is in builds with `--features gpu`.
@@ -109,11 +109,12 @@ pub struct Compare {
     /// What it is compared with: the reference.
     #[arg(value_parser = name())]
     pub b: String,
-    /// Write each picture of A, of B and their FLIP error map, side by side: PNG in a folder, or one after
-    /// another in .mp4, .webm, .apng or .gif, camera by camera.
+    /// Write each picture of A, of B and their FLIP error map, from left to right: PNG in a folder, called as
+    /// in the table, or one after another in .mp4, .webm, .apng or .gif, camera by camera. In the map dark
+    /// is equal, bright is as different as can be.
     #[arg(short, long, value_name = "FILE|FOLDER")]
     pub out: Option<PathBuf>,
-    /// Replace a folder of images that is there already.
+    /// Replace a folder of images that is there already; a file is replaced without it.
     #[arg(long)]
     pub overwrite: bool,
     /// Frames to compare, FIRST..LAST with LAST included, or one of them [default: all].

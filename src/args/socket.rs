@@ -57,6 +57,8 @@ pub struct Serve {
     #[arg(long, value_name = "ORIGIN", conflicts_with = "no_http")]
     pub allow_origin: Option<Origin>,
     /// Name or address that viewers use, for the URL and the certificate [default: the address listened on].
+    /// Browsers play the page over https or from localhost alone: for others put a server that has a
+    /// certificate in front of its port.
     #[arg(long, value_name = "NAME")]
     pub host: Option<String>,
     /// Certificate chain (PEM) [default: a new one, signed by itself; the URL has its pin].
@@ -143,7 +145,7 @@ pub struct Play {
     /// How pictures of an .mp4 are coded [default: av1].
     #[arg(long, value_enum)]
     pub video_codec: Option<VideoCodec>,
-    /// Replace a folder of images that is there already.
+    /// Replace a folder of images that is there already; a file is replaced without it.
     #[arg(long)]
     pub overwrite: bool,
     /// Add a line of JSON to this file for every frame that is shown, at once: it outlives this process

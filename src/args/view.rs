@@ -63,8 +63,7 @@ pub struct WindowArgs {
     #[arg(long, default_value_t = 3, value_parser = whole::<usize>(0..=3, "levels"), requires = "native")]
     pub level: usize,
     /// With --window or --screenshot: paint blocks by the level that they are shown at, by how long ago they
-    /// gained one, or by how much of a picture they can cover: levels (without a name), arrivals, coverage or
-    /// none.
+    /// gained one, or by the utility of what is missing: levels (without a name), arrivals, missing or none.
     #[arg(
         long, value_name = "WHAT", num_args = 0..=1, require_equals = true, default_value = "none",
         default_missing_value = "levels", value_parser = overlay, requires = "native"
@@ -88,5 +87,5 @@ pub struct WindowArgs {
 }
 
 fn overlay(text: &str) -> Result<Overlay, String> {
-    Overlay::named(text).ok_or_else(|| "none, levels, arrivals and coverage are allowed".to_owned())
+    Overlay::named(text).ok_or_else(|| "none, levels, arrivals and missing are allowed".to_owned())
 }

@@ -127,7 +127,8 @@ pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
         text += &format!("  note: {note}\n");
     }
     if let Some(out) = &args.out {
-        text += &format!("A, B and FLIP of each picture → {}\n", out.display());
+        let (a, b, out) = (&args.a, &args.b, out.display());
+        text += &format!("of each picture, from left to right, A ({a}), B ({b}) and FLIP → {out}\n");
     }
     let (gaussians, why) = match gaussians {
         None => (None, None),

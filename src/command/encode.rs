@@ -47,6 +47,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     let options =
         EncodeOptions { device, target_views, ..pipeline::encode_options(&args.codec, Protection::NONE) };
     let coded = Coded::of(args, &loaded.scene, &options, quiet)?;
+    loaded.scene.notes.extend(cluster_size_note(args, &coded.encoded.report));
     let stream = &coded.encoded.stream;
     if let Some(path) = &args.decisions_out {
         files::write(path, serde_json::to_string(&coded.encoded.decisions)?.as_bytes())?;
@@ -266,6 +267,20 @@ fn check_decisions(decisions: &Decisions, scene: &Scene) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// What is said of a bound on clusters that none comes near, although there are Gaussians for it.
+fn cluster_size_note(args: &Encode, report: &Report) -> Option<String> {
+    let (c, most) = (&report.clustering, args.codec.cluster_size);
+    let is_given = args.decisions.is_none() && args.codec.given().contains(&"--cluster-size");
+    (is_given && 2 * c.largest <= most && c.clusters > 1).then(|| {
+        format!(
+            "--cluster-size {most}: the largest cluster has {}; what is spread out is cut, down to {} \
+             Gaussians, however many are allowed",
+            counted(c.largest, "Gaussian"),
+            c.options.min_gaussians
+        )
+    })
 }
 
 /// How Gaussians were clustered, for people.

@@ -55,6 +55,11 @@ const MAX_REPORTED: usize = 4096;
 const EVERYWHERE: &str = "--listen is every address of this machine; the URLs below are for this machine \
                           alone: --host NAME names it for viewers elsewhere";
 
+/// A page over HTTP is given no WebGPU and no WebTransport elsewhere.
+const NOT_SECURE: &str = "browsers play the page over https or from localhost alone: viewers elsewhere need \
+                          a server with a certificate in front of its port (or ssh -L); dgs play and dgs \
+                          view --window need none";
+
 /// Runs the verb.
 pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     if let Some(relay) = &args.moq {
@@ -75,6 +80,9 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     });
     if args.host.is_none() && args.listen.ip().is_unspecified() {
         warnings.push(EVERYWHERE.to_owned());
+    }
+    if !args.no_http && !is_this_machine(&host) {
+        warnings.push(NOT_SECURE.to_owned());
     }
     let identity = match args.cert.as_deref().zip(args.key.as_deref()) {
         Some((certificate, key)) => Identity::read(certificate, key)?,
@@ -109,6 +117,14 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
         "urls": urls, "page": page, "server": report, "http": http, "viewers": viewers, "warnings": warnings,
     });
     Ok(VerbOutput { text, json, ..VerbOutput::default() })
+}
+
+/// Whether a browser takes `host` for this machine.
+fn is_this_machine(host: &str) -> bool {
+    let name = host.trim_end_matches('.').to_ascii_lowercase();
+    name == "localhost"
+        || name.ends_with(".localhost")
+        || host.parse().is_ok_and(|ip: IpAddr| ip.is_loopback())
 }
 
 /// The controller of a name.
@@ -331,6 +347,21 @@ fn summary(report: &ServerReport, http: Option<&HttpReport>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pages_elsewhere_need_a_certificate() {
+        for (host, is_here) in [
+            ("localhost", true),
+            ("127.0.0.1", true),
+            ("::1", true),
+            ("a.LOCALHOST.", true),
+            ("example.org", false),
+            ("192.168.1.2", false),
+            ("localhost.example.org", false),
+        ] {
+            assert_eq!(is_this_machine(host), is_here, "{host}");
+        }
+    }
 
     #[test]
     fn streams_are_called_by_their_files() {

@@ -227,3 +227,45 @@ fn the_order_of_edits_is_in_the_help() {
         "{text}"
     );
 }
+
+/// A bound on clusters that none comes near is said, and one that holds is not.
+#[test]
+fn a_bound_on_clusters_that_is_of_no_use_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let notes = |size: &str| {
+        let encode =
+            ["encode", "synth:figure:3000:2", "-o", "a.dgs", "--pictures", "0", "--cluster-size", size];
+        let said = json(at, &encode);
+        (said["notes"].to_string(), said["report"]["clustering"]["largest"].as_u64())
+    };
+    let (said, largest) = notes("8192");
+    assert!(largest < Some(3000), "{largest:?}");
+    assert!(said.contains("--cluster-size 8192: the largest cluster has "), "{said}");
+    assert!(said.contains("what is spread out is cut, down to 192 Gaussians"), "{said}");
+    for size in ["100", "512"] {
+        assert!(!notes(size).0.contains("--cluster-size"), "{size}");
+    }
+}
+
+/// One rule for whatever makes pictures: a file is replaced, a folder that holds anything only if told so.
+#[test]
+fn files_are_replaced_and_folders_only_with_overwrite() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:1000:2";
+    for verb in [&["render", scene][..], &["compare", scene, scene, "--frames", "0..1"]] {
+        for _ in 0..2 {
+            ok(at, &[verb, &["-o", "a.apng"], &SMALL[..]].concat());
+        }
+        let name = verb[0];
+        let into_folder = [verb, &["-o", name], &SMALL[..]].concat();
+        ok(at, &into_folder);
+        let said = stopped(at, &into_folder, 1);
+        assert!(said.contains("replace the frames in it with --overwrite"), "{said}");
+        ok(at, &[&into_folder[..], &["--overwrite"]].concat());
+        let help = ok(at, &[name, "--help"]);
+        let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(words.contains("that is there already; a file is replaced without it"), "{words}");
+    }
+}

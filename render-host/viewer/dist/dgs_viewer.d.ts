@@ -2,7 +2,7 @@
 /* eslint-disable */
 
 /**
- * Clock, camera and background of a viewer, for JavaScript.
+ * Clock, camera and background of a viewer, and what it leaves out to keep up, for JavaScript.
  */
 export class Controls {
     free(): void;
@@ -13,10 +13,19 @@ export class Controls {
      */
     advance(dt_s: number, base_timeout_s: number, missing: Uint32Array | number[]): number;
     /**
+     * A picture came at `now_s` that had been due for `waited_s` seconds.
+     */
+    came(now_s: number, waited_s: number): void;
+    /**
      * The camera of a picture: rotation (9, row by row), translation (3), focal lengths and principal point,
      * near plane. For tests.
      */
     camera(width: number, height: number): Float64Array;
+    /**
+     * What is drawn now: share of the pixels of width and of height, degree of harmonics, highest level,
+     * share of the Gaussians.
+     */
+    drawnNow(): Float64Array;
     /**
      * Moves right, up, forward, in shares of the distance.
      */
@@ -31,6 +40,11 @@ export class Controls {
      */
     lookAround(middle: Float64Array | number[], radius: number, aspect: number, up: string): void;
     /**
+     * It is `now_s`: true while the clock runs or the camera moves, and less may be drawn. What is drawn at
+     * most: harmonics of this degree, levels up to `cap`, the pixels as they are if they are fixed.
+     */
+    look(now_s: number, sh_degree: number, cap: number, fixed_pixels: boolean): boolean;
+    /**
      * For a clip of `frames` frames at `rate` of them a second, standing at its beginning.
      */
     constructor(frames: number, rate: number);
@@ -42,6 +56,10 @@ export class Controls {
      * Pans by a drag, pixels.
      */
     pan(dx: number, dy: number, height: number): void;
+    /**
+     * Nothing moves: the next picture is whole.
+     */
+    rest(): void;
     /**
      * Sets the colour behind everything, 0 to 1 each.
      */
@@ -75,6 +93,10 @@ export class Controls {
      */
     readonly frame: number;
     /**
+     * Whether less is drawn where pictures come late.
+     */
+    keepsUp: boolean;
+    /**
      * Whether the clip begins again at its end.
      */
     looping: boolean;
@@ -86,6 +108,10 @@ export class Controls {
      * Seconds of the clip per second.
      */
     rate: number;
+    /**
+     * What is left out now, for people; empty for nothing.
+     */
+    readonly reduced: string;
     /**
      * Where the clock is, seconds.
      */
@@ -185,6 +211,11 @@ export class Decoder {
      */
     static receive(message: Uint8Array | number[]): Decoder;
     /**
+     * Decodes no level above `cap`, and gives the `share` of Gaussians that can cover most, above 0 and up
+     * to 1.
+     */
+    reduce(cap: number, share: number): void;
+    /**
      * Forgets every packet: the server begins as if nothing had arrived.
      */
     restart(): void;
@@ -216,6 +247,10 @@ export class Decoder {
      * What of the file, as far as it is there, could not be used; empty for a whole one.
      */
     readonly damage: string;
+    /**
+     * Degree of the harmonics of its Gaussians.
+     */
+    readonly degree: number;
     /**
      * The number of the footprint that Gaussians are drawn with.
      */
@@ -311,11 +346,6 @@ export class Screen {
 export function firstBytes(): number;
 
 /**
- * Colours of levels, r g b of 0 to 1 each: proxies, base, refinements.
- */
-export function levelColours(): Float32Array;
-
-/**
  * Number of levels, base included.
  */
 export function levelCount(): number;
@@ -330,6 +360,12 @@ export function manifestBytes(first: Uint8Array | number[]): number;
  */
 export function memoryBytes(): number;
 
+/**
+ * Colours that blocks are painted in by the overlay at this place among all, r g b of 0 to 1 each: of
+ * levels, proxies, base, refinements; else from the most to the least.
+ */
+export function overlayColours(overlay: number): Float32Array;
+
 export type InitInput = RequestInfo | URL | Response | BufferSource | WebAssembly.Module;
 
 export interface InitOutput {
@@ -343,11 +379,15 @@ export interface InitOutput {
     readonly __wbg_picture_free: (a: number, b: number) => void;
     readonly __wbg_screen_free: (a: number, b: number) => void;
     readonly controls_advance: (a: number, b: number, c: number, d: number, e: number) => number;
+    readonly controls_came: (a: number, b: number, c: number) => void;
     readonly controls_camera: (a: number, b: number, c: number) => [number, number, number, number];
+    readonly controls_drawnNow: (a: number) => [number, number];
     readonly controls_duration: (a: number) => number;
     readonly controls_fly: (a: number, b: number, c: number, d: number) => void;
     readonly controls_frame: (a: number) => number;
     readonly controls_home: (a: number, b: number) => void;
+    readonly controls_keepsUp: (a: number) => number;
+    readonly controls_look: (a: number, b: number, c: number, d: number, e: number) => number;
     readonly controls_lookAround: (a: number, b: number, c: number, d: number, e: number, f: number, g: number) => [number, number];
     readonly controls_looping: (a: number) => number;
     readonly controls_new: (a: number, b: number) => number;
@@ -355,9 +395,12 @@ export interface InitOutput {
     readonly controls_pan: (a: number, b: number, c: number, d: number) => void;
     readonly controls_playing: (a: number) => number;
     readonly controls_rate: (a: number) => number;
+    readonly controls_reduced: (a: number) => [number, number];
+    readonly controls_rest: (a: number) => void;
     readonly controls_setBackground: (a: number, b: number, c: number, d: number) => void;
     readonly controls_setUp: (a: number, b: number, c: number) => number;
     readonly controls_setView: (a: number, b: number, c: number) => number;
+    readonly controls_set_keepsUp: (a: number, b: number) => void;
     readonly controls_set_looping: (a: number, b: number) => void;
     readonly controls_set_playing: (a: number, b: number) => void;
     readonly controls_set_rate: (a: number, b: number) => void;
@@ -374,6 +417,7 @@ export interface InitOutput {
     readonly decoder_content: (a: number) => number;
     readonly decoder_copyPacked: (a: number, b: any) => [number, number];
     readonly decoder_damage: (a: number) => [number, number];
+    readonly decoder_degree: (a: number) => number;
     readonly decoder_deliver: (a: number, b: number) => number;
     readonly decoder_fetch: (a: number, b: number, c: number) => [number, number, number];
     readonly decoder_footprint: (a: number) => number;
@@ -391,6 +435,7 @@ export interface InitOutput {
     readonly decoder_quality: (a: number) => number;
     readonly decoder_receipt: (a: number, b: number, c: number) => [number, number, number, number];
     readonly decoder_receive: (a: number, b: number) => [number, number, number];
+    readonly decoder_reduce: (a: number, b: number, c: number) => void;
     readonly decoder_restart: (a: number) => [number, number];
     readonly decoder_roundStart: (a: number, b: number) => number;
     readonly decoder_take: (a: number, b: number, c: number, d: number) => void;
@@ -398,10 +443,10 @@ export interface InitOutput {
     readonly decoder_up: (a: number) => [number, number];
     readonly decoder_wanted: (a: number) => [number, number];
     readonly firstBytes: () => number;
-    readonly levelColours: () => [number, number];
     readonly levelCount: () => number;
     readonly manifestBytes: (a: number, b: number) => [number, number, number];
     readonly memoryBytes: () => number;
+    readonly overlayColours: (a: number) => [number, number];
     readonly screen_adapter: (a: number) => [number, number];
     readonly screen_bytes: (a: number) => number;
     readonly screen_destroy: (a: number) => void;
@@ -414,11 +459,11 @@ export interface InitOutput {
     readonly screen_upload: (a: number, b: number, c: number, d: number, e: number, f: number, g: number) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64: (a: number, b: number, c: any, d: any) => void;
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_79: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_80: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_85: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_88: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_89: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043: (a: number, b: number, c: any) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_78: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_87: (a: number, b: number, c: any) => void;
     readonly __wbindgen_malloc: (a: number, b: number) => number;
     readonly __wbindgen_realloc: (a: number, b: number, c: number, d: number) => number;
     readonly __wbindgen_free: (a: number, b: number, c: number) => void;

@@ -1,7 +1,7 @@
 /* @ts-self-types="./dgs_viewer.d.ts" */
 
 /**
- * Clock, camera and background of a viewer, for JavaScript.
+ * Clock, camera and background of a viewer, and what it leaves out to keep up, for JavaScript.
  */
 export class Controls {
     __destroy_into_raw() {
@@ -31,6 +31,14 @@ export class Controls {
         return ret >>> 0;
     }
     /**
+     * A picture came at `now_s` that had been due for `waited_s` seconds.
+     * @param {number} now_s
+     * @param {number} waited_s
+     */
+    came(now_s, waited_s) {
+        wasm.controls_came(this.__wbg_ptr, now_s, waited_s);
+    }
+    /**
      * The camera of a picture: rotation (9, row by row), translation (3), focal lengths and principal point,
      * near plane. For tests.
      * @param {number} width
@@ -42,6 +50,17 @@ export class Controls {
         if (ret[3]) {
             throw takeFromExternrefTable0(ret[2]);
         }
+        var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
+        wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
+        return v1;
+    }
+    /**
+     * What is drawn now: share of the pixels of width and of height, degree of harmonics, highest level,
+     * share of the Gaussians.
+     * @returns {Float64Array}
+     */
+    drawnNow() {
+        const ret = wasm.controls_drawnNow(this.__wbg_ptr);
         var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
         wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
         return v1;
@@ -79,6 +98,14 @@ export class Controls {
         wasm.controls_home(this.__wbg_ptr, aspect);
     }
     /**
+     * Whether less is drawn where pictures come late.
+     * @returns {boolean}
+     */
+    get keepsUp() {
+        const ret = wasm.controls_keepsUp(this.__wbg_ptr);
+        return ret !== 0;
+    }
+    /**
      * Moves the camera so that what lies within `radius` of a middle is in a picture `aspect` times as wide
      * as high; `up` is `y`, `minus-z` and so on.
      * @param {Float64Array | number[]} middle
@@ -104,6 +131,19 @@ export class Controls {
         if (ret[1]) {
             throw takeFromExternrefTable0(ret[0]);
         }
+    }
+    /**
+     * It is `now_s`: true while the clock runs or the camera moves, and less may be drawn. What is drawn at
+     * most: harmonics of this degree, levels up to `cap`, the pixels as they are if they are fixed.
+     * @param {number} now_s
+     * @param {number} sh_degree
+     * @param {number} cap
+     * @param {boolean} fixed_pixels
+     * @returns {boolean}
+     */
+    look(now_s, sh_degree, cap, fixed_pixels) {
+        const ret = wasm.controls_look(this.__wbg_ptr, now_s, sh_degree, cap, fixed_pixels);
+        return ret !== 0;
     }
     /**
      * Whether the clip begins again at its end.
@@ -166,6 +206,28 @@ export class Controls {
         return ret;
     }
     /**
+     * What is left out now, for people; empty for nothing.
+     * @returns {string}
+     */
+    get reduced() {
+        let deferred1_0;
+        let deferred1_1;
+        try {
+            const ret = wasm.controls_reduced(this.__wbg_ptr);
+            deferred1_0 = ret[0];
+            deferred1_1 = ret[1];
+            return getStringFromWasm0(ret[0], ret[1]);
+        } finally {
+            wasm.__wbindgen_free(deferred1_0, deferred1_1, 1);
+        }
+    }
+    /**
+     * Nothing moves: the next picture is whole.
+     */
+    rest() {
+        wasm.controls_rest(this.__wbg_ptr);
+    }
+    /**
      * Sets the colour behind everything, 0 to 1 each.
      * @param {number} red
      * @param {number} green
@@ -195,6 +257,13 @@ export class Controls {
         const len0 = WASM_VECTOR_LEN;
         const ret = wasm.controls_setView(this.__wbg_ptr, ptr0, len0);
         return ret !== 0;
+    }
+    /**
+     * Sets that; what was left out is drawn again.
+     * @param {boolean} on
+     */
+    set keepsUp(on) {
+        wasm.controls_set_keepsUp(this.__wbg_ptr, on);
     }
     /**
      * Sets that.
@@ -367,6 +436,14 @@ export class Decoder {
         } finally {
             wasm.__wbindgen_free(deferred1_0, deferred1_1, 1);
         }
+    }
+    /**
+     * Degree of the harmonics of its Gaussians.
+     * @returns {number}
+     */
+    get degree() {
+        const ret = wasm.decoder_degree(this.__wbg_ptr);
+        return ret;
     }
     /**
      * Lets the emulated network deliver; true while packets are on their way.
@@ -567,6 +644,15 @@ export class Decoder {
             throw takeFromExternrefTable0(ret[1]);
         }
         return Decoder.__wrap(ret[0]);
+    }
+    /**
+     * Decodes no level above `cap`, and gives the `share` of Gaussians that can cover most, above 0 and up
+     * to 1.
+     * @param {number} cap
+     * @param {number} share
+     */
+    reduce(cap, share) {
+        wasm.decoder_reduce(this.__wbg_ptr, cap, share);
     }
     /**
      * Forgets every packet: the server begins as if nothing had arrived.
@@ -831,17 +917,6 @@ export function firstBytes() {
 }
 
 /**
- * Colours of levels, r g b of 0 to 1 each: proxies, base, refinements.
- * @returns {Float32Array}
- */
-export function levelColours() {
-    const ret = wasm.levelColours();
-    var v1 = getArrayF32FromWasm0(ret[0], ret[1]).slice();
-    wasm.__wbindgen_free(ret[0], ret[1] * 4, 4);
-    return v1;
-}
-
-/**
  * Number of levels, base included.
  * @returns {number}
  */
@@ -872,6 +947,19 @@ export function manifestBytes(first) {
 export function memoryBytes() {
     const ret = wasm.memoryBytes();
     return ret;
+}
+
+/**
+ * Colours that blocks are painted in by the overlay at this place among all, r g b of 0 to 1 each: of
+ * levels, proxies, base, refinements; else from the most to the least.
+ * @param {number} overlay
+ * @returns {Float32Array}
+ */
+export function overlayColours(overlay) {
+    const ret = wasm.overlayColours(overlay);
+    var v1 = getArrayF32FromWasm0(ret[0], ret[1]).slice();
+    wasm.__wbindgen_free(ret[0], ret[1] * 4, 4);
+    return v1;
 }
 function __wbg_get_imports() {
     const import0 = {
@@ -1806,33 +1894,33 @@ function __wbg_get_imports() {
             arg0.writeBuffer(arg1, arg2, getArrayU8FromWasm0(arg3, arg4), arg5, arg6);
         }, arguments); },
         __wbindgen_generic_0000000000000001: function(arg0, arg1) {
-            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [Externref], shim_idx: 32, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
+            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [Externref], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
             const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b);
             return ret;
         },
         __wbindgen_generic_0000000000000002: function(arg0, arg1) {
-            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUDevice")], shim_idx: 32, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76);
+            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUDevice")], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_85);
             return ret;
         },
         __wbindgen_generic_0000000000000003: function(arg0, arg1) {
-            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUDeviceLostInfo")], shim_idx: 35, ret: Unit, inner_ret: Some(Unit) }, mutable: true }) -> Externref`.
+            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUDeviceLostInfo")], shim_idx: 21, ret: Unit, inner_ret: Some(Unit) }, mutable: true }) -> Externref`.
             const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043);
             return ret;
         },
         __wbindgen_generic_0000000000000004: function(arg0, arg1) {
-            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUUncapturedErrorEvent")], shim_idx: 35, ret: Unit, inner_ret: Some(Unit) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_78);
+            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUUncapturedErrorEvent")], shim_idx: 21, ret: Unit, inner_ret: Some(Unit) }, mutable: true }) -> Externref`.
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_87);
             return ret;
         },
         __wbindgen_generic_0000000000000005: function(arg0, arg1) {
-            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("any")], shim_idx: 32, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_79);
+            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("any")], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_88);
             return ret;
         },
         __wbindgen_generic_0000000000000006: function(arg0, arg1) {
-            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("undefined")], shim_idx: 32, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_80);
+            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("undefined")], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_89);
             return ret;
         },
         __wbindgen_generic_0000000000000007: function(arg0) {
@@ -1869,8 +1957,8 @@ function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043(arg0, arg
     wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043(arg0, arg1, arg2);
 }
 
-function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_78(arg0, arg1, arg2) {
-    wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_78(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_87(arg0, arg1, arg2) {
+    wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_87(arg0, arg1, arg2);
 }
 
 function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b(arg0, arg1, arg2) {
@@ -1880,22 +1968,22 @@ function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b(arg0, arg
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_85(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_85(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_79(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_79(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_88(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_88(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_80(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_80(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_89(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_89(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }

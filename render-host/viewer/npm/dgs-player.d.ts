@@ -53,7 +53,7 @@ export interface DgsPlayerEventMap extends Omit<HTMLElementEventMap, "progress">
   error: ErrorEvent;
 }
 
-/** Draws a session on a canvas and survives the loss of its device. */
+/** Draws a session on a canvas, survives the loss of its device; its event `reduction` says that `session.reduced` is new. */
 export class Engine extends EventTarget {
   constructor(canvas: HTMLCanvasElement);
   session: Session | null;
@@ -77,8 +77,9 @@ export class Engine extends EventTarget {
 }
 
 /**
- * `<dgs-player src time autoplay loop controls background quality up pixel-ratio worker>`: like `<video>`, with a
- * camera. `worker="off"` decodes on the page's thread; `data-decoding` says where it is done, and why.
+ * `<dgs-player src time autoplay loop controls background quality up pixel-ratio worker adapt>`: like `<video>`, with
+ * a camera. `worker="off"` decodes on the page's thread; `data-decoding` says where it is done, and why. `adapt="off"`
+ * leaves nothing out where pictures come late.
  */
 export class DgsPlayer extends HTMLElement {
   static wasmUrl: string | URL;
@@ -87,6 +88,10 @@ export class DgsPlayer extends HTMLElement {
   autoplay: boolean;
   /** The attribute: whether there is a bar. */
   controls: boolean;
+  /** The attribute `pixel-ratio`: device pixels per CSS pixel; null for the display's own. */
+  pixelRatio: number | null;
+  /** Whether less is drawn where pictures come late: but for the attribute `adapt="off"`. */
+  adaptive: boolean;
   /** The attribute: when streams begin, seconds. */
   time: number;
   currentTime: number;

@@ -9,12 +9,23 @@ export interface Granted {
 
 /**
  * What blocks are painted by: nothing, the level that they are shown at, how long ago a level came (bright to dark
- * over a second), or how much of a picture they can cover.
+ * over a second), or the utility of what has not come.
  */
 export type Overlay = "none" | "levels" | "arrivals" | "missing";
 
 /** All of them, in the order in which the key O goes through them. */
 export const OVERLAYS: readonly Overlay[];
+
+/** Names of what blocks are shown at: stand-ins, base, refinements. */
+export const LEVEL_NAMES: readonly string[];
+
+/** What is drawn: share of the pixels of a side, degree of harmonics, highest level, share of the Gaussians. */
+export interface Drawn {
+  scale: number;
+  degree: number;
+  cap: number;
+  share: number;
+}
 
 /** Where to decode: `worker: false` for the thread of the page. */
 export interface DecodingOptions {
@@ -40,6 +51,12 @@ export class Session extends Controls {
   cap: number;
   /** What blocks are painted by. Anything else is a RangeError. */
   overlay: Overlay;
+  /** What is drawn now: less where pictures come late, unless `keepsUp` is false. `reduced` says it to people. */
+  readonly drawn: Drawn;
+  /** It is `now`, milliseconds, and the number of pixels is fixed or not: true while anything moves. */
+  moves(now: number, pixelsAreFixed: boolean): boolean;
+  /** A picture came at `now` that had been due for `waited`, milliseconds. */
+  cameLate(now: number, waited: number): void;
   /** Whether packets are on their way through the emulated network. */
   readonly busy: boolean;
   /** Whether the screen has the picture of what is requested. */

@@ -19,6 +19,27 @@ export class Attributes extends HTMLElement {
     this.toggleAttribute("autoplay", Boolean(plays));
   }
 
+  /** Device pixels per CSS pixel: the attribute `pixel-ratio`; null for the display's own. */
+  get pixelRatio() {
+    const ratio = Number(this.getAttribute("pixel-ratio"));
+    return ratio > 0 ? ratio : null;
+  }
+
+  set pixelRatio(ratio) {
+    if (ratio > 0) this.setAttribute("pixel-ratio", ratio);
+    else this.removeAttribute("pixel-ratio");
+  }
+
+  /** Whether less is drawn where pictures come late: but for the attribute `adapt="off"`. */
+  get adaptive() {
+    return this.getAttribute("adapt") !== "off";
+  }
+
+  set adaptive(adapts) {
+    if (adapts) this.removeAttribute("adapt");
+    else this.setAttribute("adapt", "off");
+  }
+
   /** Whether there is a bar: the attribute. */
   get controls() {
     return this.hasAttribute("controls");

@@ -1,6 +1,7 @@
 // The bar shows how a player stands, and lets a person change that; it is built here, with everything around it.
 
 import { KEYS } from "./input.js";
+import { showLegend } from "./legend.js";
 import { OVERLAYS } from "./session.js";
 import { STYLE } from "./style.js";
 
@@ -14,7 +15,10 @@ const TEMPLATE = `
 <style>${STYLE}</style>
 <canvas class="picture" part="picture" tabindex="0" role="img" aria-label="Moving scene; press ? for keys"></canvas>
 <p class="message" role="status" aria-live="polite"></p>
-<p class="painted" role="status"></p>
+<div class="notes">
+  <p class="reduced" role="status"></p>
+  <div class="painted" role="status"></div>
+</div>
 <section class="network" aria-label="Network" hidden></section>
 <div class="bar" part="controls" role="group" aria-label="Player">
   <button class="play" aria-label="Play" title="Play (Space)">▶</button>
@@ -25,19 +29,12 @@ const TEMPLATE = `
   <select class="quality" aria-label="Highest level shown" title="Highest level shown (1 to 4)"></select>
   <input class="background wide" type="color" value="#000000" aria-label="Background" title="Background (B)">
   <button class="paint" aria-label="Paint blocks" title="Paint blocks: none (O)" aria-pressed="false">◩</button>
+  <button class="adapt" aria-label="Draw less where pictures come late" aria-pressed="true">½</button>
   <button class="net" aria-label="Network" title="Network (N)" aria-pressed="false">⇅</button>
   <button class="whole" aria-label="Full screen" title="Full screen (F)"><svg width="14" height="14" viewBox="0 0 14 14" fill="none" stroke="currentColor" stroke-width="2" aria-hidden="true"><path d="M1 5V1h4M9 1h4v4M13 9v4H9M5 13H1V9"/></svg></button>
   <button class="help" aria-label="Keys" title="Keys (?)">?</button>
 </div>
 <dialog aria-label="Keys"><dl></dl><form method="dialog"><button>Close</button></form></dialog>`;
-
-// What the colours of an overlay mean, as shown on the picture.
-const PAINTED = {
-  none: "",
-  levels: "Painted by level: red stands in, yellow to blue are base and refinements",
-  arrivals: "Painted by what just came: bright for a second",
-  missing: "Painted by utility of what is missing (estimated): bright is what the picture lacks most",
-};
 
 /** Puts the parts of a player into its shadow tree. */
 export function build(root) {
@@ -66,6 +63,7 @@ export function bindControls(root, player) {
   on(".loop", "click", () => (player.loop = !player.loop));
   on(".background", "input", ({ target }) => (player.background = target.value));
   on(".paint", "click", () => player.nextOverlay());
+  on(".adapt", "click", () => (player.adaptive = !player.adaptive));
   on(".net", "click", () => player.toggleNetwork());
   on(".whole", "click", () => player.toggleFullscreen());
   on(".help", "click", () => player.showHelp());
@@ -102,7 +100,7 @@ export function showTime(root, { currentTime, duration, paused }) {
 
 /** Shows everything else of `player`. */
 export function showState(root, player) {
-  const { duration, loop, overlay, paused, playbackRate, quality } = player;
+  const { duration, loop, overlay, paused, playbackRate, quality, session } = player;
   const part = (name) => root.querySelector(`.${name}`);
   part("play").textContent = paused ? "▶" : "❚❚";
   part("play").setAttribute("aria-label", paused ? "Play" : "Pause");
@@ -110,7 +108,10 @@ export function showState(root, player) {
   part("loop").setAttribute("aria-pressed", loop);
   part("paint").setAttribute("aria-pressed", overlay !== OVERLAYS[0]);
   part("paint").title = `Paint blocks: ${overlay} (O)`;
-  part("painted").textContent = PAINTED[overlay];
+  showLegend(part("painted"), session ? overlay : OVERLAYS[0]);
+  part("adapt").setAttribute("aria-pressed", player.adaptive);
+  part("adapt").title = `Draw less where pictures come late: ${player.adaptive ? "on" : "off"} (R)`;
+  part("reduced").textContent = session?.reduced ? `Keeping up with ${session.reduced}` : "";
   part("quality").value = quality;
   part("speed").value = playbackRate;
 }

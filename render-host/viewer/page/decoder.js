@@ -27,8 +27,8 @@ class Actions {
   make({ how, bytes, length }) {
     this.#decoder = Decoder[how](bytes, length);
     const [frames, rate, gaussians, packets] = this.#decoder.info();
-    const { damage, footprint, up, loaded } = this.#decoder;
-    return { frames, rate, gaussians, packets, damage, footprint, up, loaded, state: this.#state(false) };
+    const { damage, degree, footprint, up, loaded } = this.#decoder;
+    return { frames, rate, gaussians, packets, damage, degree, footprint, up, loaded, state: this.#state(false) };
   }
 
   #state(busy) {
@@ -84,10 +84,11 @@ class Actions {
   }
 
   /** The Gaussians of a frame, where they are others than before; `buffer` is one to put them in. */
-  show({ frame, cap, overlay, now, anew, hasScreen, buffer }) {
+  show({ frame, cap, overlay, reduced, now, anew, hasScreen, buffer }) {
     this.#buffer = buffer ?? this.#buffer;
     this.#decoder.goTo(frame);
     this.#decoder.choose(cap, overlay);
+    this.#decoder.reduce(reduced.cap, reduced.share);
     const busy = this.#decoder.deliver(now);
     const packed = hasScreen ? this.#decoder.pack(anew) : undefined;
     return { picture: packed && this.#copied(packed), state: this.#state(busy) };

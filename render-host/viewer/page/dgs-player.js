@@ -12,7 +12,7 @@ import { OVERLAYS, checkedOverlay } from "./session.js";
 import { openFile } from "./source.js";
 
 export class DgsPlayer extends Attributes {
-  static observedAttributes = ["src", "time", "loop", "background", "quality", "pixel-ratio", "up"];
+  static observedAttributes = ["src", "time", "loop", "background", "quality", "pixel-ratio", "up", "adapt"];
 
   #root = this.attachShadow({ mode: "open", delegatesFocus: true });
   #engine = null;
@@ -25,7 +25,7 @@ export class DgsPlayer extends Attributes {
   #damage = "";
   #error = null;
   // What is requested of every stream, whether or not one has begun: as a session calls it.
-  #requested = { looping: true, rate: 1, cap: 3, overlay: OVERLAYS[0] };
+  #requested = { looping: true, rate: 1, cap: 3, overlay: OVERLAYS[0], keepsUp: true };
   // What is requested of the next stream alone: whether it plays, and from when; null where nobody has said.
   #next = { playing: null, time: null };
   #view = null;
@@ -56,8 +56,7 @@ export class DgsPlayer extends Attributes {
       this.#fail(error);
       this.#hopeless = true;
     });
-    const ratio = Number(this.getAttribute("pixel-ratio"));
-    if (ratio > 0) this.#engine.pixelRatio = ratio;
+    this.#engine.pixelRatio = this.pixelRatio;
     if (this.hasAttribute("src")) this.#start(this.getAttribute("src"));
   }
 
@@ -79,9 +78,10 @@ export class DgsPlayer extends Attributes {
     if (name === "loop") this.loop = now !== "false";
     if (name === "background" && now) this.background = now;
     if (name === "quality" && now) this.quality = Number(now);
+    if (name === "adapt") this.#request("levelchange", { keepsUp: this.adaptive });
     if (name === "up") this.#turnUp(now ?? this.session?.upOfStream);
     if (name === "pixel-ratio" && this.#engine) {
-      this.#engine.pixelRatio = Number(now) > 0 ? Number(now) : null;
+      this.#engine.pixelRatio = this.pixelRatio;
       this.#engine.request();
     }
   }
@@ -240,6 +240,7 @@ export class DgsPlayer extends Attributes {
       this.#emit("firstframe");
     });
     engine.addEventListener("time", () => this.#showTime());
+    engine.addEventListener("reduction", () => this.#showState());
     engine.addEventListener("step", ({ detail }) => {
       if (detail.looped) this.#emit("loop");
       if (detail.turned && !this.paused) this.#emit(detail.waiting ? "waiting" : "playing");

@@ -13,16 +13,14 @@ const TRIES = 4;
 const PAUSE_MS = 150;
 // A device may be lost while nothing is drawn: it is looked at this often, milliseconds.
 const WATCH_MS = 250;
-// Frames slower than this, seconds, for as many frames in a row, halve the pixels.
-const SLOW_S = 1 / 18;
-const SLOW_FRAMES = 20;
-const SMALLEST_SCALE = 0.5;
+// Longest time between two pictures of a display that is no sign of being late, milliseconds.
+const LONGEST_PERIOD_MS = 34;
 // Frames that a device may be given before it has finished the first of them.
 const MAX_PENDING = 2;
 
 /**
  * Events: `firstframe`, `frame`, `time` (the clock has moved), `step` (detail: looped, ended, waiting, whether that has
- * turned), `devicelost`, `devicerestored`, `error`.
+ * turned), `reduction` (something else is left out of pictures), `devicelost`, `devicerestored`, `error`.
  */
 export class Engine extends EventTarget {
   #canvas;
@@ -37,14 +35,15 @@ export class Engine extends EventTarget {
   #waiting = false;
   #watch;
   #resizes;
-  #slow = 0;
-  #scale = 1;
-  // Seconds of frames that came quickly, how many are enough for more pixels, and whether there were more of late.
-  #quickS = 0;
-  #quickEnoughS = 5;
-  #widened = false;
+  // Since when there is something to draw that is not drawn, milliseconds; null where there is nothing.
+  #dueSince = null;
+  // When a picture was drawn last, and the shortest time between two turns, milliseconds: that of the display.
+  #drawnAt = 0;
+  #period = LONGEST_PERIOD_MS;
+  // What is left out of pictures, as last said.
+  #reduced = "";
   #closed = false;
-  /** Device pixels per CSS pixel; `null` for the display's own, lowered where frames come slowly. */
+  /** Device pixels per CSS pixel; `null` for the display's own, of which fewer are drawn where pictures come late. */
   pixelRatio = null;
   #finishedBefore = 0;
 
@@ -66,6 +65,7 @@ export class Engine extends EventTarget {
     this.#shown = false;
     this.#framesBefore = this.frames + (this.#screen?.pending ?? 0);
     this.#drawn = "";
+    this.#dueSince = null;
     this.request();
   }
 
@@ -140,6 +140,7 @@ export class Engine extends EventTarget {
    * copied until control returns to the browser.
    */
   async drawNow() {
+    this.#session?.rest();
     if (this.#screen) await this.#session?.settle(this.#screen);
     this.#drawn = "";
     this.#draw();
@@ -156,13 +157,15 @@ export class Engine extends EventTarget {
     // Whether or not a frame has come: the clock waits for base levels alone.
     if (session.playing) this.dispatchEvent(new Event("time"));
     const pending = this.#screen?.pending ?? 0;
+    const moves = session.moves(now, this.pixelRatio !== null);
+    this.#noteDue(now, 1000 * passed);
     if (pending < MAX_PENDING) this.#update(now);
-    this.#keepUp(session.playing ? passed : 0);
+    this.#sayReduction();
     if (!this.#shown && this.frames > this.#framesBefore) {
       this.#shown = true;
       this.dispatchEvent(new Event("firstframe"));
     }
-    if (session.playing || session.busy || pending > 0 || (!this.#shown && this.#screen)) this.request();
+    if (moves || session.busy || pending > 0 || (!this.#shown && this.#screen)) this.request();
     else this.#last = 0;
   }
 
@@ -176,29 +179,33 @@ export class Engine extends EventTarget {
     }
   }
 
-  // Where frames come slowly, fewer pixels are drawn; once they have come quickly for a while, more again, and
-  // after each time that that was too much, twice as long is waited.
-  #keepUp(passed) {
-    if (passed === 0 || this.pixelRatio !== null) return;
-    const slow = passed > SLOW_S;
-    this.#slow = slow ? this.#slow + 1 : 0;
-    this.#quickS = slow ? 0 : this.#quickS + passed;
-    if (this.#slow >= SLOW_FRAMES && this.#scale > SMALLEST_SCALE) {
-      this.#scale = Math.max(SMALLEST_SCALE, this.#scale * 0.75);
-      if (this.#widened) this.#quickEnoughS *= 2;
-      [this.#slow, this.#quickS, this.#widened] = [0, 0, false];
-    } else if (this.#quickS > this.#quickEnoughS && this.#scale < 1) {
-      this.#scale = Math.min(1, this.#scale / 0.75);
-      [this.#quickS, this.#widened] = [0, true];
-    }
+  // Notes since when something is to be drawn that is not: how late a picture comes says what to leave out of the next.
+  // What is found after a turn that came late was to be drawn when it should have come.
+  #noteDue(now, passed) {
+    if (passed > 0) this.#period = Math.min(this.#period, passed);
+    const isDue = this.#shown && (!this.#session.settled || this.#state().text !== this.#drawn);
+    this.#dueSince = isDue ? (this.#dueSince ?? Math.min(now, now - passed + this.#period)) : null;
+  }
+
+  #sayReduction() {
+    const { reduced } = this.#session;
+    if (reduced === this.#reduced) return;
+    this.#reduced = reduced;
+    this.dispatchEvent(new Event("reduction"));
   }
 
   #size() {
-    const ratio = this.pixelRatio ?? Math.min(devicePixelRatio, 2) * this.#scale;
+    const ratio = this.pixelRatio ?? Math.min(devicePixelRatio, 2) * this.#session.drawn.scale;
     const { clientWidth, clientHeight } = this.#canvas;
     const most = this.#screen ? 8192 : 1;
     const side = (css) => Math.max(1, Math.min(most, Math.round(css * ratio)));
     return [side(clientWidth), side(clientHeight)];
+  }
+
+  // What a picture depends on, as text, and its size.
+  #state() {
+    const [{ uploads, view, up, drawn }, [width, height]] = [this.#session, this.#size()];
+    return { width, height, text: `${uploads} ${view} ${up} ${width} ${height} ${drawn.degree}` };
   }
 
   // Asks for the frame that is due, and draws what has come.
@@ -206,22 +213,24 @@ export class Engine extends EventTarget {
     try {
       const screen = this.#screen?.lost ? null : this.#screen;
       this.#session.update(now, screen);
-      this.#draw();
+      this.#draw(now);
     } catch (error) {
       if (!this.#screen?.lost) this.dispatchEvent(new CustomEvent("error", { detail: error }));
     }
   }
 
-  #draw() {
+  #draw(now = null) {
     const [session, screen] = [this.#session, this.#screen];
     if (!session || !screen || screen.lost || session.uploads === 0) return;
-    const [width, height] = this.#size();
-    const state = `${session.uploads} ${session.view} ${session.up} ${width} ${height}`;
-    if (state === this.#drawn && !screen.stale) return;
+    const { width, height, text } = this.#state();
+    if (text === this.#drawn && !screen.stale) return;
     if (this.#canvas.width !== width) this.#canvas.width = width;
     if (this.#canvas.height !== height) this.#canvas.height = height;
     screen.draw(session, width, height);
-    this.#drawn = state;
+    this.#drawn = text;
+    if (now !== null && this.#dueSince !== null) session.cameLate(now, now - Math.max(this.#dueSince, this.#drawnAt));
+    this.#dueSince = now !== null && !session.settled ? now : null;
+    this.#drawnAt = now ?? performance.now();
     this.dispatchEvent(new Event("frame"));
   }
 
@@ -239,7 +248,7 @@ export class Engine extends EventTarget {
       return;
     }
     this.#finishedBefore = this.#framesBefore = this.frames;
-    this.#screen = null;
+    [this.#screen, this.#dueSince] = [null, null];
     this.dispatchEvent(new Event("devicelost"));
     screen.free();
     this.open().then(

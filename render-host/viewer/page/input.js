@@ -26,6 +26,7 @@ export const KEYS = [
   ["N", "network"],
   ["L", "loop"],
   ["B", "another background"],
+  ["R", "draw less where pictures come late, or never"],
   ["F", "full screen"],
   ["?", "these keys"],
 ];
@@ -163,6 +164,7 @@ export function bindKeys(player, canvas, moved) {
     n: () => player.toggleNetwork(),
     l: () => (player.loop = !player.loop),
     b: () => player.nextBackground(),
+    r: () => (player.adaptive = !player.adaptive),
     f: () => player.toggleFullscreen(),
     "?": () => player.showHelp(),
   };

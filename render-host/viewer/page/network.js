@@ -2,9 +2,9 @@
 // the server's scheduler and link change; of files, and over TCP, a network is emulated before the decoder.
 
 import { SCHEDULERS } from "./conditions.js";
-import { levelColours } from "./dgs_viewer.js";
+import { coloursOf, legendItems } from "./legend.js";
+import { LEVEL_NAMES } from "./session.js";
 
-const NAMES = ["stand-ins", "base", "level 1", "level 2", "level 3"];
 // Samples of the plot, and what lies between two, milliseconds.
 const SAMPLES = 140;
 const SAMPLE_MS = 100;
@@ -208,11 +208,8 @@ export class NetworkPanel {
 
   #plotLevels() {
     if (!this.#colours) {
-      const all = [...levelColours()].map((v) => Math.round(255 * v));
-      this.#colours = NAMES.map((_, k) => `rgb(${all.slice(3 * k, 3 * k + 3)})`);
-      this.#root.querySelector(".legend").innerHTML = NAMES.map(
-        (name, k) => `<li><i style="background:${this.#colours[k]}"></i>${name}</li>`,
-      ).join("");
+      this.#colours = coloursOf("levels");
+      this.#root.querySelector(".legend").replaceChildren(...legendItems(this.#colours, LEVEL_NAMES));
     }
     const { pen, height, step } = this.#pen("canvas.levels");
     this.#history.forEach((shares, k) => {

@@ -64,7 +64,7 @@ addEventListener("drop", (event) => {
   if (file) play(file);
 });
 
-for (const name of ["up", "quality", "background", "pixel-ratio", "worker"]) {
+for (const name of ["up", "quality", "background", "pixel-ratio", "worker", "adapt"]) {
   if (parameters.has(name)) player.setAttribute(name, parameters.get(name));
 }
 // A link to an instant shows that instant.

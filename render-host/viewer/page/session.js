@@ -12,6 +12,9 @@ const MAX_ROUNDS = 8;
 // What blocks can be painted by, in the decoder's order.
 export const OVERLAYS = ["none", "levels", "arrivals", "missing"];
 
+/** What blocks are shown at: stand-ins, base, refinements. */
+export const LEVEL_NAMES = ["stand-ins", "base", "level 1", "level 2", "level 3"];
+
 /** `overlay`, if it is one. */
 export function checkedOverlay(overlay) {
   if (OVERLAYS.includes(overlay)) return overlay;
@@ -170,7 +173,24 @@ export class Session extends Controls {
   }
 
   #target() {
-    return `${this.frame} ${this.#cap} ${this.#overlay} ${this.#changes}`;
+    const { cap, share } = this.drawn;
+    return `${this.frame} ${this.#cap} ${this.#overlay} ${this.#changes} ${cap} ${share}`;
+  }
+
+  /** What is drawn now: share of the pixels of a side, degree of harmonics, highest level, share of Gaussians. */
+  get drawn() {
+    const [scale, degree, cap, share] = this.drawnNow();
+    return { scale, degree, cap, share };
+  }
+
+  /** It is `now`, milliseconds; the number of pixels is fixed or not: true while anything moves. See `Controls`. */
+  moves(now, pixelsAreFixed) {
+    return this.look(now / 1000, this.#facts.degree, this.#cap, pixelsAreFixed);
+  }
+
+  /** A picture came at `now` that had been due for `waited`, milliseconds. */
+  cameLate(now, waited) {
+    this.came(now / 1000, waited / 1000);
   }
 
   /** Lets `dt` seconds pass: see `Controls`. */
@@ -297,7 +317,8 @@ export class Session extends Controls {
     if (this.#pending || this.#freed || (asked === this.#requested && !this.busy)) return;
     this.#requested = asked;
     const anew = this.#anew;
-    const given = { frame: this.frame, cap: this.#cap, overlay: OVERLAYS.indexOf(this.#overlay), now: now / 1000 };
+    const [overlay, reduced] = [OVERLAYS.indexOf(this.#overlay), this.drawn];
+    const given = { frame: this.frame, cap: this.#cap, overlay, reduced, now: now / 1000 };
     const buffer = this.#buffer;
     this.#buffer = null;
     if (hasScreen) this.#anew = false;

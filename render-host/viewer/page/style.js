@@ -23,9 +23,11 @@ input[type=color] { width: 36px; height: 36px; padding: 2px; background: #222d; 
 .message { position: absolute; inset: 50% 0 auto 0; transform: translateY(-50%); text-align: center; padding: 0 1.5rem;
   pointer-events: none; text-shadow: 0 0 4px #000; }
 .message:empty { display: none; }
-.painted { position: absolute; top: 8px; left: 8px; max-width: min(24em, calc(100% - 16px)); margin: 0; padding: 2px 8px;
-  border-radius: 6px; background: #111c; font-size: 12px; pointer-events: none; }
-.painted:empty { display: none; }
+.notes { position: absolute; top: 8px; left: 8px; max-width: min(26em, calc(100% - 16px)); display: flex; gap: 4px;
+  flex-direction: column; align-items: flex-start; font-size: 12px; pointer-events: none; }
+.notes > * { margin: 0; padding: 2px 8px; border-radius: 6px; background: #111c; }
+.notes > :empty { display: none; }
+.notes .legend { margin: 0; }
 .network { position: absolute; top: 8px; right: 8px; width: min(296px, calc(100% - 16px)); background: #111d;
   border-radius: 8px; padding: 8px; max-height: calc(100% - 16px - var(--bar, 64px)); overflow: auto;
   box-sizing: border-box; }
@@ -57,7 +59,7 @@ kbd { background: #333; border-radius: 4px; padding: 0 5px; font: inherit; }
   dialog dd { margin-bottom: 8px; }
 }
 @container (max-width: 360px) {
-  .bar :is(.clock, .speed, .quality, .background, .paint, .net, .help) { display: none; }
+  .bar :is(.clock, .speed, .quality, .background, .paint, .adapt, .net, .help) { display: none; }
   .bar input.time { flex-basis: 60px; min-width: 48px; }
 }
 `;

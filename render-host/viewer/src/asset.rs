@@ -38,6 +38,7 @@ assets! {
     "source.js" SCRIPT, include_bytes!("../page/source.js");
     "input.js" SCRIPT, include_bytes!("../page/input.js");
     "ladder.js" SCRIPT, include_bytes!("../page/ladder.js");
+    "legend.js" SCRIPT, include_bytes!("../page/legend.js");
     "links.js" SCRIPT, include_bytes!("../page/links.js");
     "live.js" SCRIPT, include_bytes!("../page/live.js");
     "load.js" SCRIPT, include_bytes!("../page/load.js");

@@ -16,6 +16,7 @@
 mod asset;
 mod bounds;
 mod channel;
+mod keep_up;
 mod orbit;
 mod playback;
 #[cfg(any(target_family = "wasm", feature = "screen"))]
@@ -31,6 +32,7 @@ mod shell;
 pub use asset::{Asset, asset};
 pub use bounds::bounds;
 pub use channel::{Channel, Conditions};
+pub use keep_up::{KeepUp, Reduction};
 pub use orbit::{Orbit, Up};
 pub use playback::{Playback, Step};
 pub use ranges::{FIRST_BYTES, RangePlan, Wanted, message};

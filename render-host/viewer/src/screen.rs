@@ -64,6 +64,8 @@ pub struct DrawOptions {
     pub shown: [u32; 2],
     /// What is behind everything, 0 to 1 each.
     pub background: [f32; 3],
+    /// Bands of harmonics above this degree, 0 to 3, are not drawn.
+    pub sh_degree: u8,
 }
 
 /// What a screen was given last: content and frame of a session. Another session, or another screen, begins
@@ -257,7 +259,8 @@ impl Screen {
         let Some(scene) = &self.scene else { return Ok(()) };
         let camera = orbit.camera(look.size[0], look.size[1])?;
         self.renderer.reserve_entries(self.counts.wanted.swap(0, Ordering::Relaxed));
-        let settings = Settings::over(look.background).with_footprint(self.footprint);
+        let over = Settings::over(look.background).with_footprint(self.footprint);
+        let settings = Settings { max_sh_degree: look.sh_degree.min(over.max_sh_degree), ..over };
         self.renderer.draw(scene, &camera, &settings)?;
         self.show(look)?;
         self.submitted = self.submitted.wrapping_add(1);

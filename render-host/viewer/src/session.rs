@@ -2,6 +2,7 @@
 
 mod overlay;
 mod quality;
+mod thinner;
 
 use std::ops::Range;
 
@@ -15,6 +16,7 @@ use render_host::Splats;
 use self::{
     overlay::Painter,
     quality::{blocks_of, quality},
+    thinner::Thinner,
 };
 pub use self::{
     overlay::{LEVEL_COLOURS, Overlay},
@@ -64,6 +66,9 @@ pub struct Session {
     playback: Playback,
     orbit: Orbit,
     cap: usize,
+    /// What a player that cannot keep up leaves out besides: levels above this, all but a share of Gaussians.
+    reduced_cap: usize,
+    thinner: Thinner,
     painter: Painter,
     state: Vec<u8>,
     /// Changes with everything that changes harmonics: packets, cap, overlay.
@@ -97,6 +102,8 @@ impl Session {
             playback,
             orbit: Orbit::default(),
             cap: LEVELS - 1,
+            reduced_cap: LEVELS - 1,
+            thinner: Thinner::default(),
             painter: Painter::default(),
             state: Vec::new(),
             content: 0,
@@ -359,6 +366,16 @@ impl Session {
         self.content += 1;
     }
 
+    /// Shows no level above `cap` either, and of Gaussians the `share` that can cover most, above 0 and up to
+    /// 1: a player that cannot keep up leaves out the rest.
+    pub fn reduce(&mut self, cap: usize, share: f32) {
+        let cap = cap.min(LEVELS - 1);
+        if self.thinner.set_share(share) | (self.reduced_cap != cap) {
+            self.reduced_cap = cap;
+            self.content += 1;
+        }
+    }
+
     /// What blocks are painted by.
     pub fn overlay(&self) -> Overlay {
         self.painter.overlay()
@@ -388,12 +405,13 @@ impl Session {
         let only_moved = self.last == Some(key);
         self.last = Some(key);
         let content = self.player.content();
-        let above = !((2u8 << self.cap) - 1);
-        if self.cap < LEVELS - 1 {
+        let cap = self.cap.min(self.reduced_cap);
+        let above = !((2u8 << cap) - 1);
+        if cap < LEVELS - 1 {
             self.state.clear();
             self.state.extend(content.blocks.iter().map(|mask| mask & !above));
         }
-        let capped = if self.cap < LEVELS - 1 { content.with_state(&self.state) } else { content };
+        let capped = if cap < LEVELS - 1 { content.with_state(&self.state) } else { content };
         let frame = self.decoder.frame(&capped, self.playback.frame())?;
         let overlay = self.painter.overlay();
         let epoch = frame.decoded.epoch;
@@ -405,14 +423,15 @@ impl Session {
             // The decoder gives as many harmonics as Gaussians have.
             let splats = Splats::new(frame.gaussians, frame.sh_rest, frame.sh_degree)
                 .unwrap_or_else(|_| Splats::plain(frame.gaussians));
-            return Ok(Shown { splats, only_moved });
+            return Ok(Shown { splats: self.thinner.thinned(splats, only_moved), only_moved });
         }
         // What has come, whatever the cap; but levels as they are shown.
         let shown = if overlay == Overlay::Levels { &capped } else { &content };
         let painted = self.painter.paint(frame.gaussians, epoch.0, Span::Canonical(epoch), shown)?;
-        // What a block covers is of the frame.
-        let only_moved = only_moved && overlay != Overlay::Missing;
-        Ok(Shown { splats: Splats::plain(painted), only_moved })
+        // Colours by what a block covers are of the frame.
+        let repainted = overlay == Overlay::Missing;
+        let splats = self.thinner.thinned(Splats::plain(painted), only_moved);
+        Ok(Shown { splats, only_moved: only_moved && !repainted })
     }
 
     /// How many blocks of the frame that is due have come to which level, whatever the cap.

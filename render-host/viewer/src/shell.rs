@@ -14,7 +14,7 @@ use web_sys::HtmlCanvasElement;
 use crate::{
     ranges::{FIRST_BYTES, message},
     screen::{DrawOptions, Screen},
-    session::{LEVEL_COLOURS, LEVELS},
+    session::{LEVELS, Overlay},
     shell::controls::Controls,
 };
 
@@ -89,7 +89,8 @@ impl ScreenShell {
     /// Draws what was uploaded on `width` × `height` pixels.
     pub fn draw(&mut self, controls: &Controls, width: u32, height: u32) -> Result<(), JsError> {
         let size = [width, height];
-        let look = DrawOptions { size, shown: size, background: controls.background() };
+        let (background, sh_degree) = (controls.background(), controls.reduction().sh_degree);
+        let look = DrawOptions { size, shown: size, background, sh_degree };
         Ok(self.0.draw_uploaded(controls.orbit(), &look)?)
     }
 
@@ -113,10 +114,12 @@ pub fn memory_bytes() -> f64 {
     f64::from(buffer.byte_length())
 }
 
-/// Colours of levels, r g b of 0 to 1 each: proxies, base, refinements.
-#[wasm_bindgen(js_name = levelColours)]
-pub fn level_colours() -> Vec<f32> {
-    LEVEL_COLOURS.as_flattened().to_vec()
+/// Colours that blocks are painted in by the overlay at this place among all, r g b of 0 to 1 each: of
+/// levels, proxies, base, refinements; else from the most to the least.
+#[wasm_bindgen(js_name = overlayColours)]
+pub fn overlay_colours(overlay: u32) -> Vec<f32> {
+    let overlay = Overlay::ALL.get(overlay as usize).copied().unwrap_or_default();
+    overlay.colours().as_flattened().to_vec()
 }
 
 /// How many bytes of a file are needed for its manifest, which begins with `first`; 0 when they are there.

@@ -6,7 +6,7 @@ use winit::keyboard::{Key, NamedKey};
 use crate::{WindowError, options::aspect};
 
 /// The keys and what they do, for people.
-pub const KEYS: [(&str, &str); 19] = [
+pub const KEYS: [(&str, &str); 20] = [
     ("Space, K", "play or pause"),
     (", .", "one frame back or on"),
     ("Home End", "to the start or the end"),
@@ -24,6 +24,7 @@ pub const KEYS: [(&str, &str); 19] = [
     ("N", "lose others"),
     ("P", "another scheduler of the server"),
     ("B", "another background"),
+    ("R", "draw less where pictures come late, or never"),
     ("F, Esc", "full screen and back"),
     ("?", "these keys"),
 ];
@@ -62,6 +63,7 @@ pub(crate) enum Act {
     Reseed,
     Scheduler,
     Background,
+    KeepUp,
     Fullscreen,
     Leave,
     Help,
@@ -115,6 +117,7 @@ impl Act {
             "n" => Self::Reseed,
             "p" => Self::Scheduler,
             "b" => Self::Background,
+            "r" => Self::KeepUp,
             "f" => Self::Fullscreen,
             "?" => Self::Help,
             _ => return None,
@@ -161,7 +164,7 @@ impl Act {
             }
             // Only a server has one.
             Self::Scheduler => {}
-            Self::Background | Self::Fullscreen | Self::Leave | Self::Help => {}
+            Self::Background | Self::KeepUp | Self::Fullscreen | Self::Leave | Self::Help => {}
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ mod tests;
 
 use codec_core::internals::wire::receipt::ViewerPose;
 use dgs_player::Damage;
-use dgs_viewer::{Conditions, DrawOptions, Drawn, Screen, Session, Wanted, message};
+use dgs_viewer::{Conditions, DrawOptions, Drawn, KeepUp, Screen, Session, Wanted, message};
 
 use crate::{
     Arrival, Feed, FeedRequest, WindowError, WindowOptions,
@@ -13,12 +13,6 @@ use crate::{
     title::title,
 };
 
-/// Frames that wait longer than this, seconds, for as many frames in a row, have fewer pixels from then on.
-const SLOW_S: f64 = 1.0 / 18.0;
-const SLOW_FRAMES: u32 = 20;
-/// What they draw then, of width and of height, and the least of it.
-const FEWER: f64 = 0.75;
-const SMALLEST_SCALE: f64 = 0.5;
 /// Frames that a device may be given before it has finished the first of them.
 const MAX_PENDING: u32 = 2;
 /// How soon to look again, seconds: while a device draws, for what arrives, and at most while the clock runs.
@@ -55,8 +49,7 @@ pub(crate) struct Engine {
     due_s: Option<f64>,
     /// Since when there has been something to draw, seconds.
     wanted_s: Option<f64>,
-    slow: u32,
-    scale: f64,
+    keep_up: KeepUp,
     frames: u64,
     counted: (f64, u64),
     rate: f64,
@@ -81,8 +74,7 @@ impl Engine {
             last_s: None,
             due_s: None,
             wanted_s: None,
-            slow: 0,
-            scale: 1.0,
+            keep_up: KeepUp::default(),
             frames: 0,
             counted: (0.0, 0),
             rate: 0.0,
@@ -95,6 +87,9 @@ impl Engine {
     pub fn act(&mut self, act: Act, size: [u32; 2]) -> Result<(), WindowError> {
         if act == Act::Background {
             self.background = next_background(self.background);
+        }
+        if act == Act::KeepUp {
+            self.keep_up.set_on(!self.keep_up.is_on());
         }
         let Some(session) = &mut self.session else { return Ok(()) };
         let before = self.network.unwrap_or(session.conditions());
@@ -141,7 +136,11 @@ impl Engine {
             Some(session) => {
                 let network = self.network.unwrap_or(session.conditions());
                 let scheduler = self.scheduler.map_or(String::new(), |name| format!(" · {name}"));
-                title(&self.options.name, session, self.rate, network.loss) + &scheduler
+                let reduced = self.keep_up.sentence();
+                let reduced =
+                    if reduced.is_empty() { reduced } else { format!(" · keeping up with {reduced}") };
+                let whole = if self.keep_up.is_on() { "" } else { " · always whole" };
+                title(&self.options.name, session, self.rate, network.loss) + &scheduler + &reduced + whole
             }
             None => format!("{} · loading", self.options.name),
         }
@@ -196,6 +195,7 @@ impl Engine {
         let busy = session.deliver(now_s);
         let playing = session.playback().playing();
         let next = if playing { Some(until_next_frame(session)) } else { None };
+        let still = self.adapt(now_s).then_some(ARRIVING_S);
         let mut drawing = None;
         if let Some(screen) = screen {
             self.draw(now_s, screen, size)?;
@@ -203,7 +203,7 @@ impl Engine {
             drawing = unfinished.then_some(DRAWING_S);
         }
         self.count(now_s);
-        let due = [next, drawing, arriving, busy.then_some(ARRIVING_S)];
+        let due = [next, drawing, still, arriving, busy.then_some(ARRIVING_S)];
         let soonest = due.into_iter().flatten().reduce(f64::min);
         self.due_s = soonest.map(|soonest| now_s + soonest);
         if soonest.is_none() {
@@ -215,8 +215,10 @@ impl Engine {
     /// Draws what has changed, unless the device has enough to do.
     fn draw(&mut self, now_s: f64, screen: &mut Screen, shown: [u32; 2]) -> Result<(), WindowError> {
         let Some(session) = &mut self.session else { return Ok(()) };
-        let scaled = |side: u32| ((f64::from(side) * self.scale).round() as u32).max(1);
-        let look = DrawOptions { size: shown.map(scaled), shown, background: self.background };
+        let reduction = self.keep_up.reduction();
+        let scaled = |side: u32| ((f64::from(side) * reduction.scale).round() as u32).max(1);
+        let (background, sh_degree) = (self.background, reduction.sh_degree);
+        let look = DrawOptions { size: shown.map(scaled), shown, background, sh_degree };
         let orbit = session.orbit();
         let (view, up) = (orbit.numbers(), orbit.up().name());
         let state = (session.content(), session.playback().frame(), view, up, look);
@@ -232,7 +234,7 @@ impl Engine {
         self.state = Some(state);
         self.frames += 1;
         self.wanted_s = None;
-        self.keep_up(now_s - wanted_s);
+        self.keep_up.picture(now_s, now_s - wanted_s);
         Ok(())
     }
 
@@ -246,13 +248,16 @@ impl Engine {
         }
     }
 
-    /// A frame had to wait for `seconds`. Where many do, fewer pixels are drawn from now on.
-    fn keep_up(&mut self, seconds: f64) {
-        self.slow = if seconds > SLOW_S { self.slow + 1 } else { 0 };
-        if self.slow >= SLOW_FRAMES && self.scale > SMALLEST_SCALE {
-            self.scale = (self.scale * FEWER).max(SMALLEST_SCALE);
-            self.slow = 0;
-        }
+    /// Leaves out of what is drawn at `now_s` as much as pictures that came late ask for. True while the
+    /// camera moves or the clock runs: what is still is drawn whole.
+    fn adapt(&mut self, now_s: f64) -> bool {
+        let Some(session) = &mut self.session else { return false };
+        let sh_degree = session.player().info().sh_degree.get();
+        self.keep_up.set_most(sh_degree, session.cap(), false);
+        let moving = self.keep_up.look(now_s, session.playback().playing(), session.orbit().numbers());
+        let reduction = self.keep_up.reduction();
+        session.reduce(reduction.cap, reduction.share);
+        moving
     }
 
     /// Takes what has arrived, and asks for what is wanted next.
@@ -330,6 +335,8 @@ impl Engine {
     fn begin(&mut self, mut session: Session, size: [u32; 2]) -> Result<(), WindowError> {
         self.options.apply(&mut session, size)?;
         self.forget();
+        // How late pictures of another stream come is not known.
+        self.keep_up.set_on(self.keep_up.is_on());
         self.session = Some(session);
         Ok(())
     }

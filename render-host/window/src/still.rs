@@ -21,7 +21,8 @@ pub fn picture(session: &mut Session, frame: u32, options: &WindowOptions) -> Re
     options.apply(session, options.size)?;
     let now = session.playback().frame();
     session.playback_mut().step(frame.cast_signed().wrapping_sub(now.cast_signed()));
-    let look = DrawOptions { size: options.size, shown: options.size, background: options.background };
+    let look =
+        DrawOptions { size: options.size, shown: options.size, background: options.background, sh_degree: 3 };
     let mut drawn = None;
     for _ in 0..TRIES {
         screen.draw(session, &mut drawn, &look)?;

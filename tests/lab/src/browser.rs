@@ -111,6 +111,19 @@ impl Browser {
         self.order("Emulation.setDeviceMetricsOverride", size).map(|_| ())
     }
 
+    /// Lets no more than `bits_per_s` through to the page, each answer after `delay_ms` more.
+    ///
+    /// # Errors
+    /// The browser does not answer.
+    pub fn hold_to(&mut self, bits_per_s: f64, delay_ms: f64) -> Result<()> {
+        let bytes = bits_per_s / 8.0;
+        let wish = json!({
+            "offline": false, "latency": delay_ms, "downloadThroughput": bytes, "uploadThroughput": bytes,
+        });
+        self.order("Network.enable", json!({}))?;
+        self.order("Network.emulateNetworkConditions", wish).map(|_| ())
+    }
+
     /// Goes to `url`; what the page does is not waited for.
     ///
     /// # Errors

@@ -24,7 +24,10 @@ fn cameras(value: &Bound<'_, PyAny>) -> PyResult<Vec<Pinhole>> {
         Ok(one) => vec![one.get().0.clone()],
         Err(_) => {
             let mut all = Vec::new();
-            for item in value.try_iter()? {
+            let items = value.try_iter().map_err(|_| {
+                refused(format!("cameras: found a {}; a dgs.Camera or several are wanted", value.get_type()))
+            })?;
+            for item in items {
                 let item = item?;
                 let camera = item.cast::<Camera>().map_err(|_| {
                     refused(format!("cameras: found a {}; dgs.Camera is wanted", item.get_type()))

@@ -101,6 +101,12 @@ def test_objects_with_arrays_are_rendered() -> None:
     assert np.array_equal(dgs.render(Splats(), cameras()), drawn)
 
 
+def test_what_is_no_camera_is_named() -> None:
+    for wrong, name in ((None, "NoneType"), (3, "int"), ([None], "NoneType")):
+        with pytest.raises(ValueError, match=f"cameras: found a .*{name}.*dgs.Camera"):
+            dgs.render(gaussians("log"), wrong)  # type: ignore[arg-type]
+
+
 def test_a_scene_is_rendered_as_its_arrays() -> None:
     scene = dgs.Scene.synth("balls", gaussians=1000, frames=3)
     around = scene.ring(2, width=32, height=24)

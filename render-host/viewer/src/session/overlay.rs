@@ -48,6 +48,16 @@ impl Overlay {
         Self::ALL.into_iter().zip(NAMES).find(|(_, known)| *known == name).map(|(overlay, _)| overlay)
     }
 
+    /// The colours that it paints in: of levels, those of [`LEVEL_COLOURS`]; else from the most to the least.
+    pub fn colours(self) -> Vec<[f32; 3]> {
+        match self {
+            Self::None => Vec::new(),
+            Self::Levels => LEVEL_COLOURS.to_vec(),
+            Self::Arrivals => ARRIVALS.to_vec(),
+            Self::Missing => MISSING.into_iter().rev().collect(),
+        }
+    }
+
     /// The one after this.
     #[must_use]
     pub fn next(self) -> Self {

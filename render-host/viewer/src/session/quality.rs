@@ -52,12 +52,14 @@ pub(super) fn blocks_of(content: &Content, span: Span, count: usize) -> Result<V
 
 /// How much of a picture Gaussians can cover: the sum of opacity times area of the largest cross-section.
 fn coverage(gaussians: &[Gaussian]) -> f32 {
-    let of_one = |gaussian: &Gaussian| {
-        let [x, y, z] = gaussian.scale;
-        let area = (x * y).max(y * z).max(z * x);
-        if area.is_finite() { gaussian.opacity * area } else { 0.0 }
-    };
-    gaussians.iter().map(of_one).sum()
+    gaussians.iter().map(coverage_of).sum()
+}
+
+/// The same of one.
+pub(super) fn coverage_of(gaussian: &Gaussian) -> f32 {
+    let [x, y, z] = gaussian.scale;
+    let area = (x * y).max(y * z).max(z * x);
+    if area.is_finite() { gaussian.opacity * area } else { 0.0 }
 }
 
 /// Of each block, how much error of a picture what has not come would take away, estimated; and the most that

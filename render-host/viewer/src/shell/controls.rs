@@ -3,17 +3,19 @@
 use wasm_bindgen::prelude::*;
 
 use crate::{
+    keep_up::{KeepUp, Reduction},
     orbit::{Orbit, Up},
     playback::Playback,
 };
 
-/// Clock, camera and background of a viewer, for JavaScript.
+/// Clock, camera and background of a viewer, and what it leaves out to keep up, for JavaScript.
 #[wasm_bindgen]
 #[derive(Debug)]
 pub struct Controls {
     playback: Playback,
     orbit: Orbit,
     background: [f32; 3],
+    keep_up: KeepUp,
 }
 
 impl Controls {
@@ -26,6 +28,11 @@ impl Controls {
     pub(super) fn background(&self) -> [f32; 3] {
         self.background
     }
+
+    /// What is left out now.
+    pub(super) fn reduction(&self) -> Reduction {
+        self.keep_up.reduction()
+    }
 }
 
 #[wasm_bindgen]
@@ -33,7 +40,12 @@ impl Controls {
     /// For a clip of `frames` frames at `rate` of them a second, standing at its beginning.
     #[wasm_bindgen(constructor)]
     pub fn new(frames: u32, rate: f64) -> Self {
-        Self { playback: Playback::new(frames, rate), orbit: Orbit::default(), background: [0.0; 3] }
+        Self {
+            playback: Playback::new(frames, rate),
+            orbit: Orbit::default(),
+            background: [0.0; 3],
+            keep_up: KeepUp::default(),
+        }
     }
 
     /// Length of the clip, seconds.
@@ -107,6 +119,51 @@ impl Controls {
         let is_missing = |frame| missing.chunks_exact(2).any(|range| (range[0]..range[1]).contains(&frame));
         let step = self.playback.advance(dt_s, base_timeout_s, |frame| !is_missing(frame));
         u32::from(step.looped) | u32::from(step.ended) << 1 | u32::from(step.stalled) << 2
+    }
+
+    /// Whether less is drawn where pictures come late.
+    #[wasm_bindgen(getter, js_name = keepsUp)]
+    pub fn keeps_up(&self) -> bool {
+        self.keep_up.is_on()
+    }
+
+    /// Sets that; what was left out is drawn again.
+    #[wasm_bindgen(setter, js_name = keepsUp)]
+    pub fn set_keeps_up(&mut self, on: bool) {
+        if self.keep_up.is_on() != on {
+            self.keep_up.set_on(on);
+        }
+    }
+
+    /// It is `now_s`: true while the clock runs or the camera moves, and less may be drawn. What is drawn at
+    /// most: harmonics of this degree, levels up to `cap`, the pixels as they are if they are fixed.
+    pub fn look(&mut self, now_s: f64, sh_degree: u8, cap: u32, fixed_pixels: bool) -> bool {
+        self.keep_up.set_most(sh_degree, cap as usize, fixed_pixels);
+        self.keep_up.look(now_s, self.playback.playing(), self.orbit.numbers())
+    }
+
+    /// A picture came at `now_s` that had been due for `waited_s` seconds.
+    pub fn came(&mut self, now_s: f64, waited_s: f64) {
+        self.keep_up.picture(now_s, waited_s);
+    }
+
+    /// Nothing moves: the next picture is whole.
+    pub fn rest(&mut self) {
+        self.keep_up.rest();
+    }
+
+    /// What is left out now, for people; empty for nothing.
+    #[wasm_bindgen(getter)]
+    pub fn reduced(&self) -> String {
+        self.keep_up.sentence()
+    }
+
+    /// What is drawn now: share of the pixels of width and of height, degree of harmonics, highest level,
+    /// share of the Gaussians.
+    #[wasm_bindgen(js_name = drawnNow)]
+    pub fn drawn_now(&self) -> Vec<f64> {
+        let Reduction { scale, sh_degree, cap, share } = self.reduction();
+        vec![scale, f64::from(sh_degree), cap as f64, f64::from(share)]
     }
 
     /// Sets the colour behind everything, 0 to 1 each.

@@ -155,6 +155,12 @@ impl Decoder {
         self.session.player().info().footprint as u8
     }
 
+    /// Degree of the harmonics of its Gaussians.
+    #[wasm_bindgen(getter)]
+    pub fn degree(&self) -> u8 {
+        self.session.player().info().sh_degree.get()
+    }
+
     /// Frames, frames per second, most Gaussians of a frame, packets of the stream.
     pub fn info(&self) -> Vec<f64> {
         let (player, info) = (self.session.player(), self.session.player().info());
@@ -196,6 +202,12 @@ impl Decoder {
         if self.session.overlay() != overlay {
             self.session.set_overlay(overlay);
         }
+    }
+
+    /// Decodes no level above `cap`, and gives the `share` of Gaussians that can cover most, above 0 and up
+    /// to 1.
+    pub fn reduce(&mut self, cap: u32, share: f32) {
+        self.session.reduce(cap as usize, share);
     }
 
     /// Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all

@@ -85,15 +85,54 @@ fn a_feed_that_ends_before_anything_came_says_why_and_later_only_complains() {
 }
 
 #[test]
-fn frames_that_come_slowly_draw_fewer_pixels_and_never_too_few() {
+fn less_is_drawn_where_pictures_come_late_and_all_of_it_where_nothing_moves() {
+    let Some(mut screen) = screen() else { return };
     let mut engine = Engine::new(options(), Feed::file(file()));
-    (0..SLOW_FRAMES - 1).for_each(|_| engine.keep_up(1.0));
-    engine.keep_up(0.01);
-    assert_eq!(engine.scale, 1.0);
-    (0..SLOW_FRAMES).for_each(|_| engine.keep_up(0.1));
-    assert_eq!(engine.scale, 0.75);
-    (0..10 * SLOW_FRAMES).for_each(|_| engine.keep_up(0.1));
-    assert_eq!(engine.scale, SMALLEST_SCALE);
+    // A window whose turns come every fifth of a second.
+    let mut now_s = 0.0;
+    let mut turn = |engine: &mut Engine, times: u32| {
+        for _ in 0..times {
+            now_s += 0.2;
+            engine.tick(now_s, Some(&mut screen), SIZE).unwrap();
+            while screen.pending() > 0 {
+                std::thread::yield_now();
+            }
+        }
+    };
+    turn(&mut engine, 21);
+    assert!(engine.keep_up.reduction().scale < 1.0, "{:?}", engine.keep_up);
+    assert!(engine.title().contains(" · keeping up with "), "{}", engine.title());
+    turn(&mut engine, 80);
+    assert_eq!(engine.keep_up.reduction().share, 0.25);
+    // How many Gaussians are drawn, and how many there are in that frame.
+    let drawn = |engine: &mut Engine| {
+        let (mut whole, _) = Session::open(&file()).unwrap();
+        let session = engine.session.as_mut().unwrap();
+        whole.playback_mut().seek(session.playback().time_s());
+        (session.show().unwrap().splats.len(), whole.show().unwrap().splats.len())
+    };
+    let is_whole = |(some, all): (usize, usize)| some == all;
+    let is_quarter = |(some, all): (usize, usize)| some == all.div_ceil(4);
+    assert!(is_quarter(drawn(&mut engine)));
+    // What stands is whole, and what goes on again is not.
+    engine.act(Act::Toggle, SIZE).unwrap();
+    turn(&mut engine, 1);
+    assert!(is_whole(drawn(&mut engine)));
+    assert!(!engine.title().contains("keeping up"), "{}", engine.title());
+    engine.act(Act::Toggle, SIZE).unwrap();
+    turn(&mut engine, 1);
+    assert!(is_quarter(drawn(&mut engine)));
+    // Whoever wants all of it has it.
+    engine.act(Act::KeepUp, SIZE).unwrap();
+    turn(&mut engine, 20);
+    assert!(is_whole(drawn(&mut engine)));
+    assert!(engine.title().ends_with(" · always whole"), "{}", engine.title());
+    // Another stream begins with all of it.
+    engine.act(Act::KeepUp, SIZE).unwrap();
+    turn(&mut engine, 20);
+    engine.play("other".into(), Feed::file(file()));
+    turn(&mut engine, 1);
+    assert!(is_whole(drawn(&mut engine)));
 }
 
 #[test]
@@ -237,10 +276,17 @@ fn another_device_shows_what_the_lost_one_did_and_what_has_not_changed_is_drawn_
 #[test]
 fn a_picture_of_fewer_pixels_fills_the_window() {
     let Some(mut screen) = screen() else { return };
-    let mut engine = Engine::new(WindowOptions { playing: false, ..options() }, Feed::file(file()));
-    let whole = settled(&mut engine, &mut screen);
-    engine.scale = SMALLEST_SCALE;
-    let scaled = settled(&mut engine, &mut screen);
+    let (mut session, _) = Session::open(&file()).unwrap();
+    options().apply(&mut session, SIZE).unwrap();
+    let mut picture = |scale: f64| {
+        let size = SIZE.map(|side| (f64::from(side) * scale) as u32);
+        let look = DrawOptions { size, shown: SIZE, background: [0.0; 3], sh_degree: 3 };
+        (0..4).find_map(|_| {
+            screen.draw(&mut session, &mut None, &look).unwrap();
+            screen.read().unwrap()
+        })
+    };
+    let (whole, scaled) = (picture(1.0).unwrap(), picture(0.5).unwrap());
     assert_eq!([scaled.width(), scaled.height()], SIZE);
     let db = render_host::metric::psnr(&whole, &scaled).unwrap();
     assert!((20.0..60.0).contains(&db), "{db} dB");

@@ -42,7 +42,12 @@ pub fn run(setup: &Setup) -> Result<Bench> {
 
 /// Largest resident set of this process so far.
 pub(super) fn peak_bytes() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    peak_bytes_of("self")
+}
+
+/// The same of `process`, by its number.
+pub(super) fn peak_bytes_of(process: &str) -> Option<f64> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
     let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
     Some(kib * 1024.0)

@@ -1,4 +1,8 @@
-//! Measures the player in a browser: time to the first picture, frames per second, bytes, memory.
+//! Measures the player in a browser: time to the first picture, frames per second, bytes, memory; and what it
+//! leaves out where it cannot keep up.
+
+mod slow_link;
+mod steps;
 
 use std::{io::Write as _, net::Ipv4Addr, thread, time::Instant};
 
@@ -7,6 +11,7 @@ use dgs::{
     args::ProfileName,
     pipeline::{self, Quiet},
 };
+use dgs_player::Stream;
 use dgs_quic::http::{HttpConfig, HttpLimits, HttpServer, Site, SiteStream};
 use flate2::{Compression, write::GzEncoder};
 use tokio::{runtime::Runtime, sync::oneshot};
@@ -41,8 +46,13 @@ const COUNT: &str = "(async () => { const { engine } = player; player.play();\
         if (going) setTimeout(turn, 1); }; turn();\
     const step = () => { steps += 1; if (going) requestAnimationFrame(step); }; step();\
     await new Promise((done) => setTimeout(done, MS)); going = false;\
-    const seconds = (performance.now() - start) / 1000; player.pause();\
-    return [(engine.frames - begin) / seconds, steps / seconds, task, wait]; })()";
+    const seconds = (performance.now() - start) / 1000;\
+    const { scale, degree, cap, share } = player.session.drawn; player.pause();\
+    return [(engine.frames - begin) / seconds, steps / seconds, task, wait, scale, degree, cap, share]; })()";
+
+/// What the browser calls its adapter.
+const ADAPTER: &str = "(async () => { const { info } = await navigator.gpu.requestAdapter();\
+    return [info.vendor, info.architecture, info.device, info.description].filter(Boolean).join(' '); })()";
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
@@ -53,11 +63,23 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         format!(
             "page and file over HTTP on loopback, headless Chromium with a software adapter (SwiftShader), \
              {}x{} pixels; synth figure of {sizes:?} Gaussians, {FRAMES} frames; frames counted for \
-             {COUNTED_S} s of playing; first picture from the start of navigation, {runs} runs",
+             {COUNTED_S} s of playing, without and with what keeps up (.adapting); first picture from the \
+             start of navigation, {runs} runs",
             SIZE[0], SIZE[1]
         ),
     );
+    bench.also(steps::PROTOCOL);
+    bench.also(slow_link::PROTOCOL);
     package(&mut bench)?;
+    for &gaussians in sizes {
+        let file = encoded(gaussians, setup.quiet)?.to_bytes()?;
+        steps::run(
+            &mut bench,
+            &gaussians.to_string(),
+            &file,
+            FRAMES as u32 / if setup.quick { 3 } else { 1 },
+        )?;
+    }
     if Browser::program().is_none() {
         bench.skipped.push("chromium is not installed: no pictures".into());
         return Ok(bench);
@@ -89,11 +111,17 @@ fn gzipped(bytes: &[u8]) -> Result<f64> {
     Ok(encoder.finish()?.len() as f64)
 }
 
-/// One stream in a browser.
-fn play(bench: &mut Bench, gaussians: usize, runs: usize, quiet: Quiet) -> Result<()> {
+/// The scene of so many Gaussians.
+fn encoded(gaussians: usize, quiet: Quiet) -> Result<Stream> {
     let scene = setup::synth("figure", gaussians, FRAMES)?;
     let options = pipeline::encode_options(&setup::codec_args(ProfileName::Dgs1), Protection::STANDARD);
-    let file = pipeline::encode(&scene, &options, quiet)?.stream.to_bytes()?;
+    Ok(pipeline::encode(&scene, &options, quiet)?.stream)
+}
+
+/// One stream in a browser.
+fn play(bench: &mut Bench, gaussians: usize, runs: usize, quiet: Quiet) -> Result<()> {
+    let stream = encoded(gaussians, quiet)?;
+    let file = stream.to_bytes()?;
     bench.push(Figure::new(format!("{gaussians}.file_bytes"), file.len() as f64, "bytes"));
     let (url, stop) = serve(file)?;
     let address = format!("{url}?src=streams/scene.dgs&pixel-ratio=1");
@@ -109,7 +137,12 @@ fn play(bench: &mut Bench, gaussians: usize, runs: usize, quiet: Quiet) -> Resul
         firsts.push(own.as_f64().unwrap_or_else(|| 1e3 * began.elapsed().as_secs_f64()));
     }
     bench.push(Figure::new(format!("{gaussians}.first_picture_ms"), median(&firsts), "ms").runs(runs));
-    for (query, key) in [("&worker=off", ".page"), ("", "")] {
+    if bench.machine.device.is_none() {
+        let name = browser.run(ADAPTER)?;
+        bench.machine.device = name.as_str().map(|name| format!("browser: {name}"));
+    }
+    let ways = [("&worker=off&adapt=off", ".page"), ("&adapt=off", ""), ("", ".adapting")];
+    for (query, key) in ways {
         browser.go("about:blank")?;
         browser.go(&format!("{address}{query}"))?;
         browser.wait(120, "document.querySelector('dgs-player')?.engine?.frames > 0")?;
@@ -125,6 +158,12 @@ fn play(bench: &mut Bench, gaussians: usize, runs: usize, quiet: Quiet) -> Resul
         ] {
             bench.push(Figure::new(format!("{gaussians}{key}.{name}"), figure(at)?, unit));
         }
+        if key == ".adapting" {
+            let drawn = [(4, "pixels_of_a_side"), (5, "sh_degree"), (6, "level"), (7, "gaussians")];
+            for (at, name) in drawn {
+                bench.push(Figure::new(format!("{gaussians}{key}.drawn.{name}"), figure(at)?, ""));
+            }
+        }
     }
     for kind in ["wasm", "device"] {
         let bytes = browser.run(&format!("player.engine.memory.{kind}"))?;
@@ -133,7 +172,8 @@ fn play(bench: &mut Bench, gaussians: usize, runs: usize, quiet: Quiet) -> Resul
     }
     ensure!(browser.complaints.is_empty(), "the page complains: {:?}", browser.complaints);
     drop(stop);
-    Ok(())
+    drop(browser);
+    slow_link::run(bench, gaussians, &stream, SIZE, runs)
 }
 
 /// Serves the page and `file` until what is returned is dropped.
