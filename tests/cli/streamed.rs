@@ -16,7 +16,11 @@ fn recorded_delays_and_losses_are_replayed() {
     assert!(text.contains("bursts of loss 0.0 % and those of the trace"), "{text}");
     let text = stream(&["--trace", "rate.txt", "--delay-trace", "leo.txt", "--delay-ms", "5"]);
     assert!(text.contains("5 ms one way and those of a trace, median 40 ms"), "{text}");
+    assert!(text.contains("bursts of loss 0.0 %"), "a recording is replayed as it is: {text}");
+    let text = stream(&["--trace", "rate.txt", "--burst-loss", "0.02"]);
     assert!(text.contains("bursts of loss 2.0 %"), "{text}");
+    let text = stream(&["--delay-trace", "leo.txt"]);
+    assert!(text.contains("bursts of loss 2.0 %"), "the built-in link loses: {text}");
     let text = refused(at, &["stream", "a.dgs", "--trace", "phone.txt", "--delay-trace", "leo.txt"]);
     assert!(text.contains("phone.txt has delays, and so has leo.txt"), "{text}");
     let text = refused(at, &["stream", "a.dgs", "--delay-trace", "phone.txt"]);

