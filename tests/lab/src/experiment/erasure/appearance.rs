@@ -115,8 +115,8 @@ impl Appearance {
 }
 
 /// `measure` of each of `images`.
-fn each(images: &[Image], measure: impl Fn(&Image) -> Result<f64> + Sync) -> Result<Vec<f64>> {
-    images.par_iter().map(|image| measure(image)).collect()
+fn each(images: &[Image], measure: impl Fn(&Image) -> Result<f64> + Send + Sync) -> Result<Vec<f64>> {
+    images.par_iter().map(measure).collect()
 }
 
 /// Flicker of each state from its picture to its next, times 1000, beside that of two `references`.

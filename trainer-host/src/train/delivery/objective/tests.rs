@@ -56,7 +56,7 @@ impl Study {
         let (terms, _) = self.terms(parameters, weights);
         let rising = (1..PREFIXES).filter(|&k| fixed.prefixes[k] > fixed.prefixes[k - 1]);
         let rises = rising.map(|k| terms.prefixes[k] - fixed.prefixes[k - 1]);
-        Terms { monotone: rises.sum(), ..terms.clone() }.total(weights)
+        Terms { monotone: rises.sum(), ..terms }.total(weights)
     }
 
     /// The slope of the objective along `direction`.
