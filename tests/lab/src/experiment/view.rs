@@ -68,24 +68,23 @@ pub fn run(setup: &Setup) -> Result<Bench> {
             SIZE[0], SIZE[1]
         ),
     );
-    bench.also(steps::PROTOCOL);
-    bench.also(slow_link::PROTOCOL);
     package(&mut bench)?;
-    for &gaussians in sizes {
-        let file = encoded(gaussians, setup.quiet)?.to_bytes()?;
-        steps::run(
-            &mut bench,
-            &gaussians.to_string(),
-            &file,
-            FRAMES as u32 / if setup.quick { 3 } else { 1 },
-        )?;
+    if setup.quick {
+        bench.skipped.push("steps of keeping up and the slow link: not with --quick".into());
+    } else {
+        bench.also(steps::PROTOCOL);
+        bench.also(slow_link::PROTOCOL);
+        for &gaussians in sizes {
+            let file = encoded(gaussians, setup.quiet)?.to_bytes()?;
+            steps::run(&mut bench, &gaussians.to_string(), &file, FRAMES as u32)?;
+        }
     }
     if Browser::program().is_none() {
         bench.skipped.push("chromium is not installed: no pictures".into());
         return Ok(bench);
     }
     for &gaussians in sizes {
-        play(&mut bench, gaussians, runs, setup.quiet)?;
+        play(&mut bench, gaussians, runs, setup)?;
     }
     Ok(bench)
 }
@@ -119,8 +118,8 @@ fn encoded(gaussians: usize, quiet: Quiet) -> Result<Stream> {
 }
 
 /// One stream in a browser.
-fn play(bench: &mut Bench, gaussians: usize, runs: usize, quiet: Quiet) -> Result<()> {
-    let stream = encoded(gaussians, quiet)?;
+fn play(bench: &mut Bench, gaussians: usize, runs: usize, setup: &Setup) -> Result<()> {
+    let stream = encoded(gaussians, setup.quiet)?;
     let file = stream.to_bytes()?;
     bench.push(Figure::new(format!("{gaussians}.file_bytes"), file.len() as f64, "bytes"));
     let (url, stop) = serve(file)?;
@@ -149,9 +148,6 @@ fn play(bench: &mut Bench, gaussians: usize, runs: usize, quiet: Quiet) -> Resul
         browser.wait(120, "(globalThis.player = document.querySelector('dgs-player')).buffered === 1")?;
         let counted = browser.run(&COUNT.replace("MS", &format!("{}", 1e3 * COUNTED_S)))?;
         let figure = |at: usize| counted[at].as_f64().context("no figure came");
-        // Whole pictures may take longer than that on a software adapter; what keeps up may not.
-        let draws = figure(0)? > 0.0 || key != ".adapting";
-        ensure!(draws, "{gaussians} Gaussians: nothing was drawn in {COUNTED_S} s");
         for (at, name, unit) in [
             (0, "frames_per_s", "1/s"),
             (1, "clock_steps_per_s", "1/s"),
@@ -175,6 +171,9 @@ fn play(bench: &mut Bench, gaussians: usize, runs: usize, quiet: Quiet) -> Resul
     ensure!(browser.complaints.is_empty(), "the page complains: {:?}", browser.complaints);
     drop(stop);
     drop(browser);
+    if setup.quick {
+        return Ok(());
+    }
     slow_link::run(bench, gaussians, &stream, SIZE, runs)
 }
 
