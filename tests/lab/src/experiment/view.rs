@@ -141,7 +141,7 @@ fn play(bench: &mut Bench, gaussians: usize, runs: usize, setup: &Setup) -> Resu
         bench.machine.device = name.as_str().map(|name| format!("browser: {name}"));
     }
     let ways = [("&worker=off&adapt=off", ".page"), ("&adapt=off", ""), ("", ".adapting")];
-    for (query, key) in ways {
+    for (query, key) in ways.into_iter().filter(|(_, key)| !setup.quick || *key != ".adapting") {
         browser.go("about:blank")?;
         browser.go(&format!("{address}{query}"))?;
         browser.wait(120, "document.querySelector('dgs-player')?.engine?.frames > 0")?;
