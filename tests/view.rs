@@ -17,7 +17,7 @@ mod served;
 #[path = "view/sources.rs"]
 mod sources;
 
-use std::sync::Mutex;
+use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use browser::Browser;
 use dgs_player::Player;
@@ -33,23 +33,37 @@ const MIN_DB: f64 = 50.0;
 const PAGE_TIMEOUT_S: u32 = 300;
 /// What a player says.
 const MESSAGE: &str = "player.shadowRoot.querySelector('.message').textContent";
-/// One browser at a time: each uses all of this machine.
-static TURN: Mutex<()> = Mutex::new(());
+/// Held alone by tests in which time counts, shared by the others: a software adapter compiles with one thread.
+static MACHINE: RwLock<()> = RwLock::new(());
+
+/// A page's part in the machine, for as long as it is open.
+enum Part {
+    Shared { _part: RwLockReadGuard<'static, ()> },
+    Whole { _all: RwLockWriteGuard<'static, ()> },
+}
 
 /// A page that plays, or `None` on a machine without a browser; in CI that is a failure.
 struct Page {
     browser: Browser,
     served: Served,
-    _turn: std::sync::MutexGuard<'static, ()>,
+    _part: Part,
 }
 
 impl Page {
     /// A page with a picture of `side` pixels.
     fn open(query: &str, side: u32) -> Option<Self> {
-        let mut page = Self::blank()?;
-        let url = format!("{}?{query}", page.served.url());
-        page.play(&url, side);
-        Some(page)
+        Self::blank().map(|page| page.with(query, side))
+    }
+
+    /// As [`Page::open`], with the machine to itself.
+    fn open_alone(query: &str, side: u32) -> Option<Self> {
+        Self::blank_alone().map(|page| page.with(query, side))
+    }
+
+    fn with(mut self, query: &str, side: u32) -> Self {
+        let url = format!("{}?{query}", self.served.url());
+        self.play(&url, side);
+        self
     }
 
     /// Opens `url` and waits for a picture of `side` pixels.
@@ -63,14 +77,23 @@ impl Page {
     }
 
     fn blank() -> Option<Self> {
+        Self::in_browser(|| Part::Shared { _part: MACHINE.read().unwrap_or_else(PoisonError::into_inner) })
+    }
+
+    fn blank_alone() -> Option<Self> {
+        Self::in_browser(|| Part::Whole { _all: MACHINE.write().unwrap_or_else(PoisonError::into_inner) })
+    }
+
+    fn in_browser(part: impl FnOnce() -> Part) -> Option<Self> {
         if Browser::program().is_none() {
             assert!(std::env::var_os("CI").is_none_or(|ci| ci != "true"), "chromium is missing");
             eprintln!("no chromium here: the player is not tested");
             return None;
         }
-        let turn = TURN.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let part = part();
         let served = Served::start();
-        Some(Self { browser: Browser::open(800, 600).unwrap(), served, _turn: turn })
+        // No larger than pictures are: a software adapter draws what nobody looks at, too.
+        Some(Self { browser: Browser::open(SIDE, SIDE).unwrap(), served, _part: part })
     }
 
     fn run(&mut self, script: &str) -> Value {
@@ -377,7 +400,7 @@ fn files_are_chosen_refused_and_removed() {
     let (good, bad) = (folder.path().join("good.dgs"), folder.path().join("bad.dgs"));
     std::fs::write(&good, stream(SMALL).to_bytes().unwrap()).unwrap();
     std::fs::write(&bad, b"no stream at all").unwrap();
-    let url = format!("{}plain/", page.served.url());
+    let url = format!("{}plain/?pixel-ratio=0.25", page.served.url());
     page.browser.go(&url).unwrap();
     page.browser
         .wait(PAGE_TIMEOUT_S, "!!(globalThis.player = document.querySelector('dgs-player'))?.engine?.screen")
@@ -456,6 +479,7 @@ fn without_webgpu_there_is_a_sentence() {
 #[ignore = "writes a committed file"]
 fn the_picture_of_the_readme() {
     let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1", SIDE) else { return };
+    page.browser.resize(800, 600).unwrap();
     page.run("player.style.cssText = '', player.toggleNetwork(), player.quality = 3, 0");
     page.run("player.impair({ loss: 0.35, burst: 3, seed: 3 }), player.overlay = 'levels', player.home(), 0");
     std::thread::sleep(std::time::Duration::from_secs(20));

@@ -2,7 +2,7 @@
 
 use std::{
     fs::File,
-    io::Write,
+    io::{Read, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
 };
 
@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use crate::output;
 
-/// A file of JSON lines: each is there, whole, as soon as it is added, whatever becomes of this process.
+/// A file of JSON lines: each is there as soon as it is added, whatever becomes of this process.
 #[derive(Debug)]
 pub(crate) struct LineLog {
     path: PathBuf,
@@ -20,16 +20,25 @@ pub(crate) struct LineLog {
 }
 
 impl LineLog {
-    /// The log at `path`, after what is there already.
+    /// The log at `path`, after the lines that are there already.
     ///
     /// # Errors
-    /// A folder, or what the system says.
+    /// A folder, a file that holds something else than such lines, or what the system says.
     pub(crate) fn open(path: &Path) -> Result<Self> {
+        let shown = path.display();
         if path.is_dir() {
-            bail!("--log {}: is a folder; a file is needed", path.display());
+            bail!("--log {shown}: is a folder; a file is needed");
+        }
+        let ends = ends(path).with_context(|| format!("--log {shown}: cannot read"))?;
+        if ends.is_some_and(|[first, _]| first != b'{') {
+            bail!("--log {shown}: holds something else than lines of JSON; another file is needed");
         }
         let file = File::options().append(true).create(true).open(path);
-        let file = file.with_context(|| format!("--log {}: cannot write", path.display()))?;
+        let mut file = file.with_context(|| format!("--log {shown}: cannot write"))?;
+        // A line that a full disk has cut keeps to itself.
+        if ends.is_some_and(|[_, last]| last != b'\n') {
+            file.write_all(b"\n").with_context(|| format!("--log {shown}: cannot write"))?;
+        }
         Ok(Self { path: path.to_owned(), file: Some(file) })
     }
 
@@ -38,7 +47,7 @@ impl LineLog {
     pub(crate) fn add(&mut self, row: &impl Serialize) {
         let Some(file) = &mut self.file else { return };
         let line = serde_json::to_string(row).map_err(std::io::Error::other);
-        // One call, so that a line is there whole or not at all.
+        // One call, so that a process that is killed leaves no part of a line.
         let written = line.and_then(|line| file.write_all(format!("{line}\n").as_bytes()));
         if let Err(error) = written {
             let path = self.path.display();
@@ -46,6 +55,21 @@ impl LineLog {
             self.file = None;
         }
     }
+}
+
+/// The first and the last byte of the file at `path`; `None` where there is no file, or nothing in it.
+fn ends(path: &Path) -> std::io::Result<Option<[u8; 2]>> {
+    // What is no file, as a terminal or a pipe, has nothing to keep.
+    if !path.is_file() || path.metadata()?.len() == 0 {
+        return Ok(None);
+    }
+    let mut file = File::open(path)?;
+    let mut ends = [0; 2];
+    let [first, last] = &mut ends;
+    file.read_exact(std::slice::from_mut(first))?;
+    file.seek(SeekFrom::End(-1))?;
+    file.read_exact(std::slice::from_mut(last))?;
+    Ok(Some(ends))
 }
 
 #[cfg(test)]
@@ -58,15 +82,29 @@ mod tests {
         let path = folder.path().join("session.jsonl");
         let text = || std::fs::read_to_string(&path).unwrap();
         let mut log = LineLog::open(&path).unwrap();
-        log.add(&[1, 2]);
-        assert_eq!(text(), "[1,2]\n");
-        log.add(&"a\nb");
-        LineLog::open(&path).unwrap().add(&3);
-        assert_eq!(text(), "[1,2]\n\"a\\nb\"\n3\n");
+        let row = |value: &str| serde_json::json!({ "row": value });
+        log.add(&row("1"));
+        assert_eq!(text(), "{\"row\":\"1\"}\n");
+        log.add(&row("a\nb"));
+        LineLog::open(&path).unwrap().add(&row("3"));
+        assert_eq!(text(), "{\"row\":\"1\"}\n{\"row\":\"a\\nb\"}\n{\"row\":\"3\"}\n");
+        std::fs::write(&path, "{\"row\":").unwrap();
+        LineLog::open(&path).unwrap().add(&row("4"));
+        assert_eq!(text(), "{\"row\":\n{\"row\":\"4\"}\n", "what was cut keeps to itself");
         let error = LineLog::open(folder.path()).unwrap_err().to_string();
         assert!(error.ends_with("is a folder; a file is needed"), "{error}");
         let error = format!("{:#}", LineLog::open(&folder.path().join("none/x")).unwrap_err());
         assert!(error.contains("--log ") && error.contains("none/x"), "{error}");
+    }
+
+    #[test]
+    fn what_is_no_log_is_left_as_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.dgs");
+        std::fs::write(&path, b"DGSM\x01").unwrap();
+        let error = LineLog::open(&path).unwrap_err().to_string();
+        assert!(error.contains("a.dgs: holds something else than lines of JSON"), "{error}");
+        assert_eq!(std::fs::read(&path).unwrap(), b"DGSM\x01");
     }
 
     #[cfg(target_os = "linux")]

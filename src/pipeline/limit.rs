@@ -88,7 +88,7 @@ fn limit(report: &Report, graph: &PacketGraph, capacity: &Capacity) -> String {
     }
     let capacity_box = report.boxes.iter().find(|row| is_queue(&row.label));
     let used = capacity_box.map_or(0.0, |row| row.counts.delivered.bytes as f64 / could as f64);
-    // What bursts have beside a recorded capacity may pass it.
+    // Bursts after a pause (`light`) come on top of the capacity.
     let used = used.min(1.0);
     let used_words = match capacity {
         Capacity::Unlimited => "the link has no limit of rate".to_owned(),

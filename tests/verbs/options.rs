@@ -248,7 +248,7 @@ fn a_bound_on_clusters_that_is_of_no_use_is_said() {
     }
 }
 
-/// One rule for whatever makes pictures: a file is replaced, a folder that holds anything only if told so.
+/// One rule for `render` and `compare`: a file is replaced, a folder that holds anything only with --overwrite.
 #[test]
 fn files_are_replaced_and_folders_only_with_overwrite() {
     let folder = tempfile::tempdir().unwrap();

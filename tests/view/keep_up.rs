@@ -14,7 +14,7 @@ const WIDTH: &str = "player.shadowRoot.querySelector('canvas').width";
 
 #[test]
 fn it_keeps_up_by_drawing_less_and_shows_the_whole_where_it_stands() {
-    let Some(mut page) = Page::open("src=streams/small.dgs&paused", SIDE) else { return };
+    let Some(mut page) = Page::open_alone("src=streams/small.dgs&paused", SIDE) else { return };
     assert_eq!(page.run(SAID), "");
     page.run(BUSY);
     page.run("player.play(), 0");
@@ -55,7 +55,9 @@ fn it_keeps_up_by_drawing_less_and_shows_the_whole_where_it_stands() {
 /// A fixed number of pixels stays; all else may be left out. A camera that moves counts as what plays does.
 #[test]
 fn pixels_that_are_fixed_stay_and_a_moving_camera_counts_as_playing() {
-    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.5", SIDE / 2) else { return };
+    let Some(mut page) = Page::open_alone("src=streams/small.dgs&paused&pixel-ratio=0.5", SIDE / 2) else {
+        return;
+    };
     page.run(BUSY);
     page.run(
         "globalThis.turning = setInterval(() => {\

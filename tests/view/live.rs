@@ -21,7 +21,7 @@ const STAND_INS: &str = "(player.session.levels()[0] / player.session.levels().r
 /// A server as `dgs serve` is one, with an emulated link: the page receives live, and repeats the clip.
 #[test]
 fn packets_come_live_over_a_lossy_link() {
-    let Some(mut page) = Page::blank() else { return };
+    let Some(mut page) = Page::blank_alone() else { return };
     // As below, the page is held up at its first picture; a server that thinks it gone sees it come again.
     let live = served::Live::start(&["--impair", "loss=5%,delay=10ms", "--idle", "120"]);
     page.browser.go(&format!("{}?transport=live&pixel-ratio=0.25", live.page)).unwrap();
@@ -39,7 +39,7 @@ fn packets_come_live_over_a_lossy_link() {
 
 #[test]
 fn every_transport_brings_the_same_picture() {
-    let Some(mut page) = Page::blank() else { return };
+    let Some(mut page) = Page::blank_alone() else { return };
     // A software adapter holds up the page at its first picture until servers think it gone: first the file.
     page.browser.resize(SIDE, SIDE).unwrap();
     let live = served::Live::start(&["--idle", "120"]);
@@ -92,7 +92,7 @@ fn every_transport_brings_the_same_picture() {
 
 #[test]
 fn a_page_changes_the_link_and_the_scheduler_of_its_session() {
-    let Some(mut page) = Page::blank() else { return };
+    let Some(mut page) = Page::blank_alone() else { return };
     let is_whole = format!("{STAND_INS} === 0 && player.session.estimatedQuality > 0.99");
     let free = ["--idle", "120"];
     // A server that grants nothing sends nothing again either: a page that forgot its packets would never
@@ -130,7 +130,7 @@ fn a_page_changes_the_link_and_the_scheduler_of_its_session() {
 /// Who comes while a stream is written begins at its newest window.
 #[test]
 fn the_page_plays_what_is_still_being_written() {
-    let Some(mut page) = Page::blank() else { return };
+    let Some(mut page) = Page::blank_alone() else { return };
     let bytes = served::encoded("synth:figure:1000:30", &["--window-frames", "10", "--pictures", "2"]);
     let live = served::Live::growing(&bytes);
     // Time for the server to read it.
@@ -148,7 +148,7 @@ fn the_page_plays_what_is_still_being_written() {
 /// A server that was restarted has another certificate, and knows nothing of the page.
 #[test]
 fn a_server_that_comes_back_is_found_again() {
-    let Some(mut page) = Page::blank() else { return };
+    let Some(mut page) = Page::blank_alone() else { return };
     page.browser
         .before_pages(
             "globalThis.fetches = 0; { const real = fetch;\
@@ -202,7 +202,7 @@ fn a_server_that_comes_back_is_found_again() {
 /// What is played goes on when somebody drops a scan or a picture on it.
 #[test]
 fn a_file_that_is_no_stream_ends_nothing() {
-    let Some(mut page) = Page::blank() else { return };
+    let Some(mut page) = Page::blank_alone() else { return };
     let folder = tempfile::tempdir().unwrap();
     let (good, bad) = (folder.path().join("good.dgs"), folder.path().join("scan.ply"));
     std::fs::write(&good, stream(SMALL).to_bytes().unwrap()).unwrap();

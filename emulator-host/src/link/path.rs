@@ -135,7 +135,7 @@ pub struct Reordering {
 pub struct PathConfig {
     /// How fast.
     pub capacity: Capacity,
-    /// What a burst after a pause has before that, where `capacity` is that of a saturated link.
+    /// How bursts after a pause pass, where `capacity` is that of a saturated link; `None`: as everything.
     pub light: Option<LightLoad>,
     /// What may wait for capacity.
     pub queue: QueueLimit,
@@ -203,11 +203,11 @@ impl PathConfig {
             Capacity::Unlimited => {}
             Capacity::Constant(rate) => {
                 let label = format!("{label}/rate");
-                boxes.push(Box::new(ConstantRate::after_bursts(label, *rate, self.queue, self.light)));
+                boxes.push(Box::new(ConstantRate::with_light_load(label, *rate, self.queue, self.light)));
             }
             Capacity::Trace(trace) => {
                 let label = format!("{label}/trace-rate");
-                boxes.push(Box::new(TraceRate::after_bursts(label, trace, self.queue, self.light)));
+                boxes.push(Box::new(TraceRate::with_light_load(label, trace, self.queue, self.light)));
             }
         }
         match self.loss {

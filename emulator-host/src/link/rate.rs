@@ -17,11 +17,11 @@ pub struct ConstantRate {
 impl ConstantRate {
     /// At rate zero nothing ever leaves.
     pub fn new(label: impl Into<String>, rate: Rate, limit: QueueLimit) -> Self {
-        Self::after_bursts(label, rate, limit, None)
+        Self::with_light_load(label, rate, limit, None)
     }
 
-    /// The same after what bursts have.
-    pub(super) fn after_bursts(
+    /// The same, but that bursts after a pause pass as `light` says.
+    pub(super) fn with_light_load(
         label: impl Into<String>,
         rate: Rate,
         limit: QueueLimit,

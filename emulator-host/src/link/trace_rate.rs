@@ -33,11 +33,11 @@ enum Inner {
 impl TraceRate {
     /// Starts at the beginning of `trace`; use [`Trace::window`] to start elsewhere.
     pub fn new(label: impl Into<String>, trace: &Trace, limit: QueueLimit) -> Self {
-        Self::after_bursts(label, trace, limit, None)
+        Self::with_light_load(label, trace, limit, None)
     }
 
-    /// The same after what bursts have.
-    pub(super) fn after_bursts(
+    /// The same, but that bursts after a pause pass as `light` says.
+    pub(super) fn with_light_load(
         label: impl Into<String>,
         trace: &Trace,
         limit: QueueLimit,

@@ -19,6 +19,10 @@ pub const ARGS_SORT_DRAWN: u64 = 0;
 pub const ARGS_DRAWN: u64 = 1;
 /// Indirect arguments: blocks of [`SORT_BLOCK`] over the tile entries.
 pub const ARGS_SORT_ENTRIES: u64 = 2;
+/// Indirect arguments: workgroups that sum up the digits of the splats drawn.
+pub const ARGS_SCAN_DRAWN: u64 = 3;
+/// Indirect arguments: workgroups that sum up the digits of the tile entries.
+pub const ARGS_SCAN_ENTRIES: u64 = 4;
 /// Places of indirect arguments; the ones after those above are free for other engines.
 pub const ARGS: u64 = 8;
 
@@ -26,6 +30,8 @@ pub const ARGS: u64 = 8;
 pub const WORKGROUP: u32 = (TILE * TILE) as u32;
 /// Keys that one workgroup of the radix sort takes.
 pub const SORT_BLOCK: u32 = 1024;
+/// Up to so many blocks, digits are summed up by one thread each: cheaper than the barriers of a workgroup each.
+pub const FEW_BLOCKS: u32 = 64;
 /// Values of one digit of the radix sort.
 pub const DIGITS: u32 = 256;
 /// Worlds that one thread of a world batch blends.
@@ -78,6 +84,7 @@ pub const CONSTANTS: &[(&str, f64)] = &[
     ("SMALL_BOX", SMALL_BOX as f64),
     ("WORKGROUP", WORKGROUP as f64),
     ("SORT_BLOCK", SORT_BLOCK as f64),
+    ("FEW_BLOCKS", FEW_BLOCKS as f64),
     ("DIGITS", DIGITS as f64),
     ("LANES", LANES as f64),
     ("SKIPPED", SKIPPED as f64),

@@ -5,8 +5,9 @@ use wgpu::BufferUsages;
 use super::{
     Device, GpuError, GrowableBuffer, Scene, error,
     layout::{
-        ARGS, ARGS_DRAWN, ARGS_SORT_DRAWN, ARGS_SORT_ENTRIES, ARGS_STRIDE, COUNT_ENTRIES, COUNT_WANTED,
-        COUNTS, DIGITS, Frame, SORT_BLOCK, Splat, WORKGROUP,
+        ARGS, ARGS_DRAWN, ARGS_SCAN_DRAWN, ARGS_SCAN_ENTRIES, ARGS_SORT_DRAWN, ARGS_SORT_ENTRIES,
+        ARGS_STRIDE, COUNT_ENTRIES, COUNT_WANTED, COUNTS, DIGITS, FEW_BLOCKS, Frame, SORT_BLOCK, Splat,
+        WORKGROUP,
     },
     recording::{Recording, Workgroups},
     source::{Bind, Kernel, LAYOUT, SPAN, Source},
@@ -54,6 +55,7 @@ pub static SORT: Source = Source {
         ("values_out", Bind::Write),
         ("table", Bind::Write),
         ("totals", Bind::Write),
+        ("sort_pass", Bind::Uniform),
     ],
 };
 
@@ -87,9 +89,10 @@ pub static STARTS: Source = Source {
 
 /// Bits of the digits of the radix sort.
 const DIGIT_BITS: u32 = 8;
-/// Digits of a depth key.
+/// Digits of a depth key, and of a tile number at most.
 const DEPTH_DIGITS: usize = 4;
-/// `SOURCE` of sort.wgsl: depth keys of all Gaussians, of those drawn, tile numbers of entries.
+const TILE_DIGITS: usize = 4;
+/// `source` of sort.wgsl: depth keys of all Gaussians, of those drawn, tile numbers of entries.
 const SORT_ALL: u32 = 0;
 const SORT_DRAWN: u32 = 1;
 const SORT_ENTRIES: u32 = 2;
@@ -116,6 +119,9 @@ struct Buffers {
     counts: wgpu::Buffer,
     args: wgpu::Buffer,
     totals: wgpu::Buffer,
+    /// `SortPass` of sort.wgsl for every digit of the depth keys, and of the tile numbers.
+    depth_passes: [wgpu::Buffer; DEPTH_DIGITS],
+    tile_passes: [wgpu::Buffer; TILE_DIGITS],
     splats: GrowableBuffer,
     touched: GrowableBuffer,
     /// Keys and values of the depth sort, before and after a pass.
@@ -133,11 +139,26 @@ impl Buffers {
         let uniform = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
         let word = 4;
         let pair = |key, value| [GrowableBuffer::new(key), GrowableBuffer::new(value)];
+        let pass = |source: u32, digit: u32| {
+            device.uniform("sort pass", bytemuck::bytes_of(&[source, digit * DIGIT_BITS, 0, 0]))
+        };
         Ok(Self {
             frame: device.buffer("frame", size_of::<Frame>() as u64, uniform)?,
             counts: device.buffer("counts", word * u64::from(COUNTS), whole)?,
             args: device.buffer("dispatch sizes", ARGS * ARGS_STRIDE, whole | BufferUsages::INDIRECT)?,
             totals: device.buffer("digit totals", word * u64::from(DIGITS), whole)?,
+            depth_passes: [
+                pass(SORT_ALL, 0)?,
+                pass(SORT_DRAWN, 1)?,
+                pass(SORT_DRAWN, 2)?,
+                pass(SORT_DRAWN, 3)?,
+            ],
+            tile_passes: [
+                pass(SORT_ENTRIES, 0)?,
+                pass(SORT_ENTRIES, 1)?,
+                pass(SORT_ENTRIES, 2)?,
+                pass(SORT_ENTRIES, 3)?,
+            ],
             splats: GrowableBuffer::new("splats"),
             touched: GrowableBuffer::new("tiles per splat"),
             depth: [pair("depth keys", "depth order"), pair("depth keys", "depth order")],
@@ -235,10 +256,12 @@ impl Lists {
         recording.dispatch(Kernel::new(&PLAN, "plan_drawn"), &plan, [1, 1, 1]);
 
         recording.stage("sort");
-        let all = Workgroups::row(count.div_ceil(SORT_BLOCK));
-        self.record_sort(recording, &b.depth, 0, SORT_ALL, &all)?;
-        for digit in 1..DEPTH_DIGITS {
-            self.record_sort(recording, &b.depth, digit, SORT_DRAWN, &self.indirect(ARGS_SORT_DRAWN))?;
+        let all = count.div_ceil(SORT_BLOCK);
+        let all = [Workgroups::row(all), Workgroups::row(if all <= FEW_BLOCKS { 1 } else { DIGITS })];
+        let drawn = [self.indirect(ARGS_SORT_DRAWN), self.indirect(ARGS_SCAN_DRAWN)];
+        for (digit, pass) in b.depth_passes.iter().enumerate() {
+            // The first leaves out what is skipped.
+            self.record_sort(recording, &b.depth, digit, pass, if digit == 0 { &all } else { &drawn })?;
         }
 
         recording.stage("bin");
@@ -247,8 +270,9 @@ impl Lists {
         recording.dispatch_in(Kernel::new(&BIN, "count_entries"), &bin, self.indirect(ARGS_DRAWN));
         recording.dispatch(Kernel::new(&PLAN, "plan_entries"), &plan, [1, 1, 1]);
         recording.dispatch_in(Kernel::new(&BIN, "emit_entries"), &bin, self.indirect(ARGS_DRAWN));
-        for digit in 0..self.tile_digits {
-            self.record_sort(recording, &b.entries, digit, SORT_ENTRIES, &self.indirect(ARGS_SORT_ENTRIES))?;
+        let entries = [self.indirect(ARGS_SORT_ENTRIES), self.indirect(ARGS_SCAN_ENTRIES)];
+        for (digit, pass) in b.tile_passes.iter().enumerate().take(self.tile_digits) {
+            self.record_sort(recording, &b.entries, digit, pass, &entries)?;
         }
         let sorted_tiles = b.entries[self.tile_digits % 2][0].get()?;
         let starts = [&b.frame, &b.counts, sorted_tiles, b.starts.get()?];
@@ -257,25 +281,25 @@ impl Lists {
         Ok(())
     }
 
-    /// Records the sort of keys and values by one digit, from one pair of buffers to the other.
+    /// Records the sort of keys and values by one digit, from one pair of buffers to the other: in workgroups per
+    /// block of keys, and in those that sum up digits.
     fn record_sort(
         &self,
         recording: &mut Recording,
         pairs: &[[GrowableBuffer; 2]; 2],
         digit: usize,
-        source: u32,
-        blocks: &Workgroups,
+        pass: &wgpu::Buffer,
+        [blocks, scans]: &[Workgroups; 2],
     ) -> Result<(), GpuError> {
         let b = &self.buffers;
         let ([keys, values], [keys_out, values_out]) = (&pairs[digit % 2], &pairs[(digit + 1) % 2]);
         let [keys, values] = [keys.get()?, values.get()?];
         let [keys_out, values_out] = [keys_out.get()?, values_out.get()?];
-        let bound = [&b.frame, &b.counts, keys, values, keys_out, values_out, b.table.get()?, &b.totals];
-        let kernel = |entry| Kernel::new(&SORT, entry).with("SOURCE", source);
-        let shift = digit as u32 * DIGIT_BITS;
-        recording.dispatch_in(kernel("count_digits").with("SHIFT", shift), &bound, blocks.clone());
-        recording.dispatch(kernel("scan"), &bound, [DIGITS, 1, 1]);
-        recording.dispatch_in(kernel("scatter").with("SHIFT", shift), &bound, blocks.clone());
+        let bound =
+            [&b.frame, &b.counts, keys, values, keys_out, values_out, b.table.get()?, &b.totals, pass];
+        recording.dispatch_in(Kernel::new(&SORT, "count_digits"), &bound, blocks.clone());
+        recording.dispatch_in(Kernel::new(&SORT, "scan"), &bound, scans.clone());
+        recording.dispatch_in(Kernel::new(&SORT, "scatter"), &bound, blocks.clone());
         Ok(())
     }
 

@@ -5,6 +5,7 @@ const TILE: u32 = 16u;
 const SMALL_BOX: u32 = 6u;
 const WORKGROUP: u32 = 256u;
 const SORT_BLOCK: u32 = 1024u;
+const FEW_BLOCKS: u32 = 64u;
 const DIGITS: u32 = 256u;
 const LANES: u32 = 8u;
 const SKIPPED: u32 = 0xffffffffu;

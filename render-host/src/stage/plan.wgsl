@@ -16,6 +16,12 @@ fn groups(n: u32, each: u32) -> vec4<u32> {
     return vec4<u32>(min(all, ROW), (all + ROW - 1u) / ROW, 1u, 0u);
 }
 
+// Workgroups of `scan` in a sort of `n` keys.
+fn scans(n: u32) -> vec4<u32> {
+    let is_few = n <= FEW_BLOCKS * SORT_BLOCK;
+    return vec4<u32>(select(DIGITS, 1u, is_few), 1u, 1u, 0u);
+}
+
 // Stops at the largest number instead of wrapping around.
 fn add_up(a: u32, b: u32) -> u32 {
     return select(a + b, 0xffffffffu, a + b < a);
@@ -26,6 +32,7 @@ fn add_up(a: u32, b: u32) -> u32 {
 fn plan_drawn() {
     dispatch[0] = groups(counts[COUNT_DRAWN], SORT_BLOCK);
     dispatch[1] = groups(counts[COUNT_DRAWN], WORKGROUP);
+    dispatch[3] = scans(counts[COUNT_DRAWN]);
 }
 
 // After `count_entries`: one workgroup turns the sums of blocks into places, and sizes the sort of entries.
@@ -69,5 +76,6 @@ fn plan_entries(@builtin(local_invocation_index) thread: u32) {
         counts[COUNT_WANTED] = wanted;
         counts[COUNT_ENTRIES] = entries;
         dispatch[2] = groups(entries, SORT_BLOCK);
+        dispatch[4] = scans(entries);
     }
 }

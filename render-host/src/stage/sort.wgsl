@@ -16,11 +16,18 @@
 // Per digit, the number of its keys.
 @group(0) @binding(7) var<storage, read_write> totals: array<u32, 256>;
 
-// Lowest bit of the digit.
-override SHIFT: u32 = 0u;
-// What is sorted: 0 all Gaussians but the skipped, each with its index as value; 1 the splats drawn;
-// 2 the tile entries.
-override SOURCE: u32 = 1u;
+// Given by buffer and not by override constants: software adapters take a second to compile a kernel, and one
+// kernel serves all digits.
+@group(0) @binding(8) var<uniform> sort_pass: SortPass;
+
+struct SortPass {
+    // What is sorted: 0 all Gaussians but the skipped, each with its index as value; 1 the splats drawn;
+    // 2 the tile entries.
+    source: u32,
+    // Lowest bit of the digit.
+    shift: u32,
+    spare: vec2<u32>,
+}
 
 const MASK_WORDS: u32 = 8u;
 
@@ -30,9 +37,9 @@ var<workgroup> base: array<u32, 256>;
 var<workgroup> sums: array<u32, 256>;
 
 fn count() -> u32 {
-    if SOURCE == 0u {
+    if sort_pass.source == 0u {
         return frame.gaussians;
-    } else if SOURCE == 1u {
+    } else if sort_pass.source == 1u {
         return counts[COUNT_DRAWN];
     }
     return counts[COUNT_ENTRIES];
@@ -43,11 +50,11 @@ fn blocks_of(n: u32) -> u32 {
 }
 
 fn takes_part(i: u32, n: u32) -> bool {
-    return i < n && (SOURCE != 0u || keys[min(i, n - 1u)] != SKIPPED);
+    return i < n && (sort_pass.source != 0u || keys[min(i, n - 1u)] != SKIPPED);
 }
 
 fn digit_of(key: u32) -> u32 {
-    return (key >> SHIFT) & (DIGITS - 1u);
+    return (key >> sort_pass.shift) & (DIGITS - 1u);
 }
 
 // Sum of `value` over the threads before this one; leaves the inclusive sums in `sums`.
@@ -89,12 +96,21 @@ fn count_digits(
     }
 }
 
-// One workgroup per digit.
+// One workgroup per digit; for few blocks one workgroup in all, with a thread per digit.
 @compute @workgroup_size(256)
 fn scan(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let blocks = blocks_of(count());
-    let row = id.x * blocks;
     var carry = 0u;
+    if blocks <= FEW_BLOCKS {
+        for (var place = thread * blocks; place < (thread + 1u) * blocks; place++) {
+            let value = table[place];
+            table[place] = carry;
+            carry += value;
+        }
+        totals[thread] = carry;
+        return;
+    }
+    let row = id.x * blocks;
     for (var first = 0u; first < blocks; first += WORKGROUP) {
         let block = first + thread;
         var value = 0u;
@@ -151,7 +167,7 @@ fn scatter(
             }
             rank += countOneBits(atomicLoad(&masks[word * DIGITS + digit]) & ((1u << bit) - 1u));
             keys_out[rank] = key;
-            if SOURCE == 0u {
+            if sort_pass.source == 0u {
                 values_out[rank] = i;
             } else {
                 values_out[rank] = values[i];

@@ -93,8 +93,9 @@ impl fmt::Display for Reduction {
 #[derive(Clone, Debug)]
 pub struct KeepUp {
     on: bool,
-    /// What the stream and whoever looks at it leave out anyway; whether the number of pixels is fixed.
+    /// The most that is drawn: the stream's harmonics, and the levels that are asked for.
     most: Reduction,
+    /// Whether the number of pixels stays.
     fixed_pixels: bool,
     /// Which of [`Reduction::STEPS`], and of each how often pictures were too late after going up to it.
     at: usize,
@@ -139,8 +140,14 @@ impl KeepUp {
 
     /// Switches that, and begins anew.
     pub fn set_on(&mut self, on: bool) {
+        self.on = on;
+        self.restart();
+    }
+
+    /// Leaves nothing out until pictures come late again: how late those of another stream come is not known.
+    pub fn restart(&mut self) {
         *self = Self {
-            on,
+            on: self.on,
             most: self.most,
             fixed_pixels: self.fixed_pixels,
             view: self.view,

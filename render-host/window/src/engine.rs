@@ -335,8 +335,7 @@ impl Engine {
     fn begin(&mut self, mut session: Session, size: [u32; 2]) -> Result<(), WindowError> {
         self.options.apply(&mut session, size)?;
         self.forget();
-        // How late pictures of another stream come is not known.
-        self.keep_up.set_on(self.keep_up.is_on());
+        self.keep_up.restart();
         self.session = Some(session);
         Ok(())
     }

@@ -15,7 +15,7 @@ pub trait FrameSink {
     /// What makes it pointless to go on.
     fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String>;
 
-    /// What [`Self::show`] is about to show, once per frame.
+    /// How late and how complete a frame is, just before [`Self::show`] is asked for it.
     fn shown(&mut self, _frame: &FrameShown) {}
 
     /// The manifest has come: a DGSM message, which was taken.

@@ -119,36 +119,38 @@ impl Study {
     /// # Errors
     /// A window that cannot be cut, or what delivering and rendering refuse.
     pub(super) fn compare(&self, channels: &[Channel], windows: usize) -> Result<Vec<Limited>> {
-        self.each_window(channels, windows, |place, session, bound| {
-            let runs: Result<Vec<Seen>> = POLICIES.iter().map(|policy| self.see(session, *policy)).collect();
-            Ok((Window { runs: runs?, ..place }, Limits { bound, ideal: self.see_ideal(session)? }))
-        })
+        self.each_link(channels, windows, |link| self.compare_over(link))
     }
 
-    /// `run` in every window whose link is not dead: given the window's place without runs, its session, and
-    /// the most utility that is possible there.
-    fn each_window<T: Send, R>(
+    /// What every scheduler shows over `link`.
+    fn compare_over(&self, link: &LiveLink) -> Result<Limited> {
+        let session = &link.session;
+        let runs: Result<Vec<Seen>> = POLICIES.iter().map(|policy| self.see(session, *policy)).collect();
+        Ok((link.window(runs?), Limits { bound: link.bound, ideal: self.see_ideal(session)? }))
+    }
+
+    /// `run` over the link of every window that is not dead.
+    fn each_link<T: Send>(
         &self,
         channels: &[Channel],
         windows: usize,
-        run: impl Fn(Window<R>, &SessionConfig, f64) -> Result<T> + Sync,
+        run: impl Fn(&LiveLink) -> Result<T> + Sync,
     ) -> Result<Vec<T>> {
         let jobs: Vec<(usize, usize)> =
             (0..channels.len()).flat_map(|trace| (0..windows).map(move |window| (trace, window))).collect();
         let results: Result<Vec<Option<T>>> = jobs
             .par_iter()
-            .map(|(trace, window)| {
-                let seed = 77_000 + 1000 * *trace as u64 + *window as u64;
-                let channel = &channels[*trace];
-                let Some(session) = channel.session(&self.graph, (*window, windows), seed, 0.01)? else {
+            .map(|&(trace, window)| {
+                let seed = 77_000 + 1000 * trace as u64 + window as u64;
+                let channel = &channels[trace];
+                let Some(session) = channel.session(&self.graph, (window, windows), seed, 0.01)? else {
                     return Ok(None);
                 };
                 let bound = upper_bound(&self.graph, &session.forward, start(&self.graph), 1500).utility;
                 if bound < MIN_BOUND {
                     return Ok(None);
                 }
-                let place = Window { family: channel.family, trace: *trace, runs: Vec::new() };
-                run(place, &session, bound).map(Some)
+                run(&LiveLink { family: channel.family, trace, session, bound }).map(Some)
             })
             .collect();
         Ok(results?.into_iter().flatten().collect())
@@ -158,7 +160,7 @@ impl Study {
     fn see(&self, session: &SessionConfig, policy: PolicyKind) -> Result<Seen> {
         let (report, states) =
             pipeline::deliver(&self.stream, &self.map, &self.graph, session, policy, TransportName::Model)?;
-        self.rate(&report, &states)
+        self.rendered(&report, &states)
     }
 
     /// The same of our plan over a transport that fills the link and loses nothing.
@@ -167,11 +169,11 @@ impl Study {
         let mut endpoint = WireEndpoint::new(early_bytes, &self.stream, &self.map, &self.graph)?;
         let mut plan = POLICIES[OURS].build(&self.graph);
         let report = run_ideal(&self.graph, session, &mut *plan, &mut endpoint)?;
-        self.rate(&report, &endpoint.shown)
+        self.rendered(&report, &endpoint.shown)
     }
 
-    /// Renders the `states` that were shown in a run.
-    fn rate(&self, report: &Report, states: &[ShownState]) -> Result<Seen> {
+    /// Renders the `states` that were shown in a run, and rates the pictures.
+    fn rendered(&self, report: &Report, states: &[ShownState]) -> Result<Seen> {
         let received = self.stream.receive()?;
         let state_of = |frame: u32| states.iter().find(|state| state.frame == frame);
         let shown: Vec<(u32, Option<&[u8]>)> = self
@@ -184,6 +186,22 @@ impl Study {
         let images = evaluator::renders(&received.content(), &shown, &self.camera, &settings, &Backend::Cpu)?;
         let pictures = (&images[..], &self.references[..]);
         Seen::new(report, &self.frames, pictures, (self.graph.frame_interval(), self.network.as_ref()))
+    }
+}
+
+/// The link of one window of a trace.
+struct LiveLink {
+    family: &'static str,
+    trace: usize,
+    session: SessionConfig,
+    /// The most utility that any schedule shows over it.
+    bound: f64,
+}
+
+impl LiveLink {
+    /// The window with one value per scheduler.
+    fn window<T>(&self, runs: Vec<T>) -> Window<T> {
+        Window { family: self.family, trace: self.trace, runs }
     }
 }
 
@@ -201,12 +219,13 @@ pub(super) type Limited = (Window<Seen>, Limits);
 fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, scene: &Scene) -> Result<()> {
     let Size { windows, pictures, .. } = size(setup);
     let study = Study::make(scene, setup, pictures)?;
-    let results = study.compare(channels, windows)?;
+    let both = study.each_link(channels, windows, |link| {
+        let without = link.window(ablations::runs(&study.graph, &link.session)?);
+        Ok((study.compare_over(link)?, without))
+    })?;
+    let (results, without): (Vec<Limited>, Vec<_>) = both.into_iter().unzip();
     push(bench, &format!("pictures.{name}"), &results);
     push_verdicts(bench, &format!("pictures.{name}.deadline-utility"), &results);
-    let without = study.each_window(channels, windows, |place, session, _| {
-        Ok(Window { runs: ablations::runs(&study.graph, session)?, ..place })
-    })?;
     ablations::push(bench, name, &without);
     Ok(())
 }
@@ -335,8 +354,7 @@ fn push_limits(bench: &mut Bench, prefix: &str, windows: &[Limited]) {
     let distortions: Vec<Window<f64>> = windows
         .iter()
         .map(|(window, limits)| {
-            let distortion = |seen: &Seen| seen.distortion;
-            let shown = [limits.ideal, window.runs[OURS], window.runs[LAYERED]].map(|seen| distortion(&seen));
+            let shown = [limits.ideal, window.runs[OURS], window.runs[LAYERED]].map(|seen| seen.distortion);
             Window { family: window.family, trace: window.trace, runs: shown.to_vec() }
         })
         .collect();
