@@ -33,7 +33,8 @@ const MIN_DB: f64 = 50.0;
 const PAGE_TIMEOUT_S: u32 = 300;
 /// What a player says.
 const MESSAGE: &str = "player.shadowRoot.querySelector('.message').textContent";
-/// Held alone by tests in which time counts, shared by the others: a software adapter compiles with one thread.
+/// Held alone by tests in which time counts, shared by the others: a software adapter compiles kernels in
+/// one thread.
 static MACHINE: RwLock<()> = RwLock::new(());
 
 /// A page's part in the machine, for as long as it is open.

@@ -248,7 +248,7 @@ fn a_bound_on_clusters_that_is_of_no_use_is_said() {
     }
 }
 
-/// One rule for `render` and `compare`: a file is replaced, a folder that holds anything only with --overwrite.
+/// One rule for `render` and `compare`: files are replaced, folders that hold anything with --overwrite only.
 #[test]
 fn files_are_replaced_and_folders_only_with_overwrite() {
     let folder = tempfile::tempdir().unwrap();

@@ -30,7 +30,8 @@ pub const ARGS: u64 = 8;
 pub const WORKGROUP: u32 = (TILE * TILE) as u32;
 /// Keys that one workgroup of the radix sort takes.
 pub const SORT_BLOCK: u32 = 1024;
-/// Up to so many blocks, digits are summed up by one thread each: cheaper than the barriers of a workgroup each.
+/// Up to so many blocks, digits are summed up by a thread each: cheaper than the barriers of a workgroup
+/// each.
 pub const FEW_BLOCKS: u32 = 64;
 /// Values of one digit of the radix sort.
 pub const DIGITS: u32 = 256;

@@ -281,8 +281,8 @@ impl Lists {
         Ok(())
     }
 
-    /// Records the sort of keys and values by one digit, from one pair of buffers to the other: in workgroups per
-    /// block of keys, and in those that sum up digits.
+    /// Records the sort of keys and values by one digit, from one pair of buffers to the other: in workgroups
+    /// per block of keys, and in those that sum up digits.
     fn record_sort(
         &self,
         recording: &mut Recording,
