@@ -34,7 +34,7 @@ pub(crate) use self::{
     cameras::RENDER_RING,
     frames::LeftOut,
     impair::impairment,
-    limit::Lost,
+    limit::{Lost, freezes},
     link::{impaired_link, rate_words},
     piped::bytes as input_bytes,
     recording::{read_delays, read_recording},

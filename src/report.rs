@@ -51,6 +51,10 @@ pub struct SchedulerRun {
     pub limit: String,
     /// Utility that no schedule passes over this link with the same start of playout; `None` if not computed.
     pub utility_bound: Option<f64>,
+    /// How often what was shown stood still for want of its base.
+    pub freezes: u64,
+    /// Frames without motion in all freezes.
+    pub frozen_frames: u64,
     /// Image quality of what was shown, per frame.
     pub frames: Vec<Shown>,
     /// Mean PSNR over shown frames, dB; a frame that was never shown counts as the background.

@@ -128,6 +128,8 @@ fn run(i: usize) -> SchedulerRun {
         delivery,
         limit: ["link", "congestion control"][i % 2].into(),
         utility_bound: Some(0.97),
+        freezes: i as u64,
+        frozen_frames: 9 * i as u64,
         frames,
         mean_psnr_db: 28.314 + 1.7 * rank,
         tail_psnr_db: 19.271 + 2.3 * rank,

@@ -16,7 +16,7 @@ use trainer_host::{
 
 use crate::{
     args::{Demo, TransportName},
-    figures::{Machine, mean},
+    figures::{Machine, frozen, mean},
     files,
     output::VerbOutput,
     pipeline::{self, Loaded, Quiet},
@@ -66,7 +66,14 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
         );
     }
     for run in &page.runs {
-        text += &format!("  {:17} limited by {}\n", run.name, run.limit);
+        text += &format!(
+            "  {:17} {}{}, limited by {}\n",
+            run.name,
+            frozen(run.freezes, run.frozen_frames),
+            run.utility_bound
+                .map_or(String::new(), |bound| format!(", utility at most {bound:.3} by any schedule")),
+            run.limit
+        );
     }
     text += &format!("{}\n{}\n", figures.display(), report.display());
     let json = json!({ "report": files::shown(&report), "figures": files::shown(&figures), "page": json });
@@ -174,6 +181,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
                 psnr_db: Some(scores[at].psnr_db),
             });
         }
+        let freezes = pipeline::freezes(&report, &graph);
         let psnr: Vec<f64> = scores.iter().map(|s| s.psnr_db).collect();
         let ssim: Vec<f64> = scores.iter().map(|s| s.ssim).collect();
         runs.push(SchedulerRun {
@@ -185,6 +193,8 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
             frames: rows,
             limit: link.limit(&report, &graph),
             utility_bound: bounds[i],
+            freezes: freezes.count(),
+            frozen_frames: freezes.frames(),
             delivery: report,
         });
     }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
-use emulator_host::{Report, SessionConfig, session::Freezes};
+use emulator_host::{Report, SessionConfig};
 use render_host::metric;
 use serde_json::{Value, json};
 use trainer_host::{Stream, evaluator, train::delivery::Recording};
@@ -58,8 +58,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     let mean_rate = link.mean_until(report.duration_ns);
     let is_model = args.link.transport == TransportName::Model;
     let best = if is_model { link.best_possible(&report, &graph) } else { None };
-    let mut freezes = Freezes::new(graph.frame_interval());
-    report.frames.iter().for_each(|row| freezes.show(1.0 - row.base_miss));
+    let freezes = pipeline::freezes(&report, &graph);
     let mut text = format!(
         "{} over {}\n  startup {}, miss {:.1} % (base {:.1} %), utility {:.3}{}\n  \
          limited by {limit}\n  \

@@ -1,6 +1,6 @@
 //! Says what kept a run from showing more: the link, losses, congestion control, or the deadline.
 
-use emulator_host::{Nanos, PacketGraph, Report, bound::upper_bound, link::Capacity};
+use emulator_host::{Nanos, PacketGraph, Report, bound::upper_bound, link::Capacity, session::Freezes};
 
 use super::link::Link;
 
@@ -19,6 +19,13 @@ const NOTABLE: f64 = 0.01;
 const MAX_BOUND_PACKETS: usize = 4000;
 /// Steps of the solver; the bound holds after any number.
 const BOUND_STEPS: u32 = 300;
+
+/// How often what was shown stood still for want of its base, in the run that `report` tells of.
+pub(crate) fn freezes(report: &Report, graph: &PacketGraph) -> Freezes {
+    let mut freezes = Freezes::new(graph.frame_interval());
+    report.frames.iter().for_each(|row| freezes.show(1.0 - row.base_miss));
+    freezes
+}
 
 /// Datagrams that the link lost on the way to the receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,9 +3,12 @@
 use std::fmt::Write as _;
 
 use super::elements::{count, kib};
-use crate::report::{
-    SchedulerRun,
-    plot::{Hue, escape, number},
+use crate::{
+    figures::frozen,
+    report::{
+        SchedulerRun,
+        plot::{Hue, escape, number},
+    },
 };
 
 /// Which way a column is better.
@@ -50,10 +53,11 @@ type Detail = (&'static str, &'static str, fn(&SchedulerRun) -> String);
 
 /// What the headline leaves out.
 #[rustfmt::skip]
-const DETAILS: [Detail; 23] = [
+const DETAILS: [Detail; 24] = [
     ("Congestion controller", "", |r| escape(&r.delivery.controller)),
     ("Seed of the path", "", |r| r.delivery.seed.to_string()),
     ("Utility that no schedule passes", "share, 0–1", |r| number(r.utility_bound.unwrap_or(f64::NAN), 3)),
+    ("Freezes", "", |r| frozen(r.freezes, r.frozen_frames)),
     ("Session length", "s", |r| number(r.delivery.duration_ns.as_s(), 3)),
     ("Frames shown / all", "frames", |r| format!("{} / \
         {}", r.frames.iter().filter(|f| f.time_s.is_some()).count(), r.frames.len())),
