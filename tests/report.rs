@@ -259,6 +259,9 @@ fn the_page_has_every_name_and_every_number() {
     for name in NAMES {
         assert!(text.matches(name).count() > 8, "{name}");
     }
+    for words in ["no freeze", "1 freeze of 9 frames", "2 freezes of 18 frames in all"] {
+        assert!(text.contains(words), "{words}");
+    }
     let numbers = [
         // Headline.
         "1,050",

@@ -93,7 +93,7 @@ impl Page {
         }
         let part = part();
         let served = Served::start();
-        // No larger than pictures are: a software adapter draws what nobody looks at, too.
+        // As small as the pictures that are compared: a software adapter takes longer for a larger window.
         Some(Self { browser: Browser::open(SIDE, SIDE).unwrap(), served, _part: part })
     }
 
