@@ -81,12 +81,28 @@ export class Message {
     this.#part = part;
   }
 
-  /** Says `text`, empty for nothing, until something else is said; if it `passes`, for a while over what was said. */
+  /**
+   * Says `text`, empty for nothing, until something else is said; if it `passes`, for a while over what was said.
+   * What passes is seen to its end unless there is something else to say.
+   */
   say(text, passes = false) {
+    if (!passes) this.#lasting = text;
+    if (text === "" && this.#timer !== 0) return;
     clearTimeout(this.#timer);
+    this.#timer = passes ? setTimeout(() => this.#passed(), PASSING_MS) : 0;
     this.#part.textContent = text;
-    if (passes) this.#timer = setTimeout(() => this.say(this.#lasting), PASSING_MS);
-    else this.#lasting = text;
+  }
+
+  /** Nothing is said any more, not even what passes. */
+  clear() {
+    this.#lasting = "";
+    this.#passed();
+  }
+
+  #passed() {
+    clearTimeout(this.#timer);
+    this.#timer = 0;
+    this.#part.textContent = this.#lasting;
   }
 }
 

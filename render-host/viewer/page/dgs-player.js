@@ -211,7 +211,7 @@ export class DgsPlayer extends Attributes {
     if (view) session.setView(view);
     this.#error = null;
     this.#damage = "";
-    this.#say("");
+    if (!this.#hopeless) this.#message.clear();
     this.#engine.session = session;
     this.#paint(session);
     this.#panel.began();
