@@ -33,7 +33,7 @@ pub(crate) use self::{
     cache::{reference_photographs, stored_utilities, utilities_of_clip},
     cameras::RENDER_RING,
     frames::LeftOut,
-    impair::impairment,
+    impair::{LIGHT_LOADS, impairment, light_load},
     limit::{Lost, freezes},
     link::{impaired_link, rate_words},
     piped::bytes as input_bytes,

@@ -14,7 +14,7 @@ use crate::{
     clock::{Nanos, Rate},
     congestion::ControllerKind,
     graph::{Dependencies, GraphError, PacketGraph, Synthetic},
-    link::{Capacity, LossModel, PathConfig, QueueLimit},
+    link::{Capacity, LightLoad, LossModel, PathConfig, QueueLimit},
     policy::PolicyKind,
     report::{FrameRow, Report},
     rng::stream,
@@ -48,6 +48,8 @@ pub struct SweptTrace {
     pub replay: Replay,
     /// One-way delay, beside those of the recording.
     pub delay: Nanos,
+    /// What it does for bursts after a pause, as cellular links do.
+    pub light: Option<LightLoad>,
 }
 
 /// What is run.
@@ -245,6 +247,7 @@ impl Sweep {
             loss_trace: loss,
             delay: swept.delay,
             delay_trace: delay.clone(),
+            light: swept.light,
             ..PathConfig::default()
         };
         let reverse = PathConfig {
@@ -290,7 +293,7 @@ fn trial(report: &Report) -> Trial {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::trace::Trace;
+    use crate::{clock::Bytes, trace::Trace};
 
     fn design() -> Design {
         let swept = |seed: u64| SweptTrace {
@@ -298,6 +301,7 @@ mod tests {
             family: "made".into(),
             replay: Trace::bursty(seed, Nanos::from_s(20)).into(),
             delay: Nanos::from_ms(20),
+            light: None,
         };
         let condition = |name: &str, dependencies, repair| Condition {
             name: name.into(),
@@ -351,5 +355,18 @@ mod tests {
         assert_ne!(digest(0), digest(6), "another trace");
         let reseeded = Sweep::new(Design { seed: 8, ..design() }).unwrap();
         assert_ne!(reseeded.run_block(0).unwrap()[0].0.digest, digest(0));
+    }
+
+    #[test]
+    fn playback_begins_sooner_where_the_first_burst_is_let_through() {
+        let startup_ms = |design| {
+            let block = Sweep::new(design).unwrap().run_block(0).unwrap();
+            block.iter().map(|(trial, _)| trial.startup_ms).collect::<Vec<_>>()
+        };
+        let mut light = design();
+        light.traces[0].light =
+            Some(LightLoad { rate: Rate::from_mbps(40), burst: Bytes(60_000), pause: Nanos::from_s(1) });
+        let (with, without) = (startup_ms(light), startup_ms(design()));
+        assert!(with.iter().zip(&without).all(|(with, without)| with < without), "{with:?}, {without:?}");
     }
 }

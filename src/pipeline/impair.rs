@@ -22,8 +22,9 @@ const ALLOWED_TO_VIEWERS: &str = "a list of loss=5%, burst=4, rate=5mbit, delay=
 const QUEUE: Nanos = Nanos::from_ms(250);
 const LOSSES: &str = "0% to 90%, such as 5% or 0.05";
 const TIMES: &str = "0ms to 60000ms";
-const LIGHT_LOADS: &str = "the rate of the first bytes after a pause, how many they are, and the pause: \
-                           1kbit to 100000mbit, 1kB to 1000000kB, 0ms to 60000ms";
+/// What [`light_load`] reads.
+pub(crate) const LIGHT_LOADS: &str = "the rate of the first bytes after a pause, how many they are, \
+                                      and the pause: 1kbit to 100000mbit, 1kB to 1000000kB, 0ms to 60000ms";
 
 /// A link as it was described, and what to say about it.
 #[derive(Clone, Debug)]
@@ -208,8 +209,8 @@ fn rate(text: &str, most: f64) -> Option<Rate> {
     (1e3..=most).contains(&rate).then_some(Rate(rate.round() as u64))
 }
 
-/// `40mbit/15kB/100ms`: rate, bytes and pause.
-fn light_load(text: &str) -> Option<LightLoad> {
+/// `40mbit/15kB/100ms`: rate, bytes and pause of what a link does for bursts after a pause.
+pub(crate) fn light_load(text: &str) -> Option<LightLoad> {
     let mut parts = text.split('/');
     let (first, second, third) = (parts.next()?, parts.next()?, parts.next()?);
     if parts.next().is_some() {

@@ -126,6 +126,7 @@ struct TraceTable {
     constant_mbps: Option<f64>,
     bursty: Option<u64>,
     delay_ms: Option<u64>,
+    light: Option<String>,
 }
 
 impl TraceTable {
@@ -300,11 +301,18 @@ fn trace(
         None if replay.delay.is_some() => Nanos::ZERO,
         None => capacity.base_rtt().map_or(delay, |round_trip| Nanos(round_trip.0 / 2)),
     };
-    Ok(SweptTrace { name: table.name.clone(), family: table.family.clone(), replay, delay })
+    let light = table.light.as_ref().map(|text| {
+        let allowed = pipeline::LIGHT_LOADS;
+        pipeline::light_load(text).with_context(|| format!("{} is {text:?}, allowed {allowed}", key("light")))
+    });
+    let (name, family) = (table.name.clone(), table.family.clone());
+    Ok(SweptTrace { name, family, replay, delay, light: light.transpose()? })
 }
 
 #[cfg(test)]
 mod tests {
+    use emulator_host::{Bytes, link::LightLoad};
+
     use super::*;
 
     const QUICK: &str = include_str!("../../tests/sweeps/quick.toml");
@@ -319,6 +327,14 @@ mod tests {
         assert_eq!(config.baseline, PolicyKind::Layered);
         assert_eq!(config.design.replicates, 3);
         assert!(config.warnings.is_empty());
+    }
+
+    #[test]
+    fn bursts_after_a_pause_are_read_as_impairments_have_them() {
+        let text = QUICK.replacen("bursty = 1", "bursty = 1\nlight = \"40mbit/15kB/100ms\"", 1);
+        let traces = parsed(&text).unwrap().design.traces;
+        let light = LightLoad { rate: Rate::from_mbps(40), burst: Bytes(15_000), pause: Nanos::from_ms(100) };
+        assert_eq!(traces.iter().map(|trace| trace.light).collect::<Vec<_>>(), [None, Some(light)]);
     }
 
     #[test]
@@ -342,6 +358,11 @@ mod tests {
             ("dependencies = \"layered\"", "dependencies = \"some\"", "allowed layered, independent"),
             ("constant_mbps = 5.0", "bursty = 1\nconstant_mbps = 5.0", "needs one of file, constant_mbps"),
             ("constant_mbps = 5.0", "file = \"none.csv\"", "none.csv"),
+            (
+                "constant_mbps = 5.0",
+                "constant_mbps = 5.0\nlight = \"40mbit\"",
+                "traces[0].light is \"40mbit\", allowed the rate of the first bytes after a pause",
+            ),
             ("baseline = \"layered\"", "baseline = \"cubic\"", "baseline is \"cubic\", allowed dash"),
             ("baseline = \"layered\"", "baseline = \"dependency\"", "allowed is one of schedulers"),
         ] {

@@ -95,6 +95,7 @@ mod tests {
                 family: "made".into(),
                 replay: Trace::bursty(1, Nanos::from_s(20)).into(),
                 delay: Nanos::from_ms(20),
+                light: None,
             }],
             replicates: 1,
             seed: 1,
