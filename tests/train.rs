@@ -7,6 +7,8 @@ mod encoder;
 #[cfg(unix)]
 #[path = "train/photographs.rs"]
 mod photographs;
+#[path = "train/rank.rs"]
+mod rank;
 #[path = "train/recorded.rs"]
 mod recorded;
 

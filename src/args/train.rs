@@ -103,6 +103,11 @@ pub struct Train {
     /// first for that; its stream is then the one that `dgs encode` makes of DIR/checkpoint.dgst.
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
+    /// With --delivery: choose the rank of the shared temporal basis before, by validation, in place of
+    /// --rank. Ranks 0 to 8 are tried with three seeds each, as 27 fine-tunings of half as many updates, on
+    /// pictures (validation.every in the file of options) that are not trained on. Writes ranks.json.
+    #[arg(long, requires = "delivery", conflicts_with = "rank")]
+    pub choose_rank: bool,
     /// Largest loss of PSNR by encoding, dB.
     ///
     /// Measured on validation views, or on training views where there are none. Quantiser steps are chosen to

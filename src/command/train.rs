@@ -109,7 +109,7 @@ fn train(
     let is_there = scene.is_some() || resumed.as_ref().is_some_and(|checkpoint| checkpoint.progress >= 1.0);
     let check = |options| delivery::check(args, dataset, options, is_there);
     delivery.map(check).transpose().context("--delivery")?;
-    if scene.is_some() && delivery.is_some() && args.resume && !folder.tuning.is_file() {
+    if scene.is_some() && delivery.is_some() && args.resume && !folder.has_fine_tuning() {
         bail!(
             "--delivery: fine-tunes {} as it is, not what {} holds of its training; the checkpoint of that \
              is a scene to fine-tune, into another --out",
@@ -275,7 +275,7 @@ fn finish(
             let references = (dataset, trained.options.background, trained.options.max_side);
             let tuned = delivery::fine_tuned(args, folder, &trained.scene, references, options, stop, quiet)?;
             ended.interrupted |= tuned.record.objective.len() < options.updates;
-            tuning = Some((options, tuned.record));
+            tuning = Some((options, tuned.record, tuned.choice));
             section = Some(tuned.section);
             Written::plainly(tuned.encoded)
         }
@@ -317,8 +317,9 @@ fn finish(
             args.input
         )
     }));
-    if let Some((options, record)) = tuning {
-        output.text += &delivery::outcome(&record, options);
+    if let Some((options, record, choice)) = tuning {
+        output.text += &delivery::outcome(&record, options, choice.as_ref());
+        output.json["rank"] = json!(choice);
         output.json["updates"] = json!(record.objective.len());
         output.json["taken"] = json!(record.before_and_taken().map(|(_, taken)| taken.updates));
         output.json["registration"] = json!(files::shown(&folder.registration));

@@ -3,6 +3,7 @@
 mod damage;
 mod log;
 mod page;
+mod rank;
 
 use std::{cell::RefCell, io::IsTerminal as _, ops::ControlFlow, time::Instant as Clock};
 
@@ -10,11 +11,12 @@ use anyhow::{Context, Result, bail};
 use serde_json::json;
 use trainer_host::{
     Scene,
-    encode::{Encoded, Protection, write},
+    encode::{EncodeOptions, Encoded, Protection, write},
     train::{
         self, Dataset,
         delivery::{
-            DeliveryError, DeliveryOptions, FineTuned, Record, Recording, Reference, Tuning, Update, resume,
+            DeliveryError, DeliveryOptions, FineTuned, RankChoice, Record, Recording, Reference, Tuning,
+            Update, resume,
         },
     },
 };
@@ -77,6 +79,7 @@ pub(super) fn check(
              {input} -o {out} --resume --delivery CONFIG"
         );
     }
+    rank::check(args, options)?;
     options.recorded.as_deref().map(Recording::read).transpose().context("recorded")?;
     let found = dataset.train.photographs().len().min(args.references);
     let needed = if options.validation.candidates == 0 { 1 } else { options.validation.every };
@@ -115,7 +118,7 @@ pub(super) fn run(
     let background = args.background.unwrap_or(BACKGROUND);
     let plain = encoded(args, scene, stop, "nothing was written", quiet)?;
     let pictures = (dataset, background, typed(args)?.max_side);
-    let Tuned { encoded: tuned, record, section } =
+    let Tuned { encoded: tuned, record, section, choice } =
         fine_tuned(args, folder, scene, pictures, options, stop, quiet)?;
     let updates = record.objective.len();
     let interrupted = updates < options.updates;
@@ -130,7 +133,7 @@ pub(super) fn run(
         "{}: fine-tuned for delivery{}\n{}{}{}  {} bytes, in {}\n{}\n",
         args.input,
         if interrupted { ", interrupted: --resume goes on" } else { "" },
-        outcome(&record, options),
+        outcome(&record, options, choice.as_ref()),
         figure("held-out views, all packets, before", &before),
         figure("held-out views, all packets, fine-tuned", &after),
         bytes.len(),
@@ -154,6 +157,7 @@ pub(super) fn run(
         "fine_tuned": after,
         "bytes": bytes.len(),
         "stream": files::shown(&folder.stream),
+        "rank": choice,
         "registration": files::shown(&folder.registration),
         "delivery": files::shown(&folder.delivery),
         "log": files::shown(&folder.delivery_log),
@@ -168,6 +172,8 @@ pub(super) struct Tuned {
     pub(super) record: Record,
     /// What a page says of it, as HTML.
     pub(super) section: String,
+    /// The rank that was chosen for it, if one was.
+    pub(super) choice: Option<RankChoice>,
 }
 
 /// The stream of `scene`, fine-tuned towards training views over a background, no side longer than the third
@@ -188,6 +194,14 @@ pub(super) fn fine_tuned(
         ..options.clone()
     };
     let references = references(dataset, scene, (args.references, max_side), background)?;
+    let chosen = || rank::chosen(args, folder, scene, &references, &options, stop, quiet);
+    let choice = args.choose_rank.then(chosen).transpose()?;
+    let options = match &choice {
+        Some(RankChoice { rank, .. }) => {
+            DeliveryOptions { encode: EncodeOptions { rank: *rank, ..options.encode.clone() }, ..options }
+        }
+        None => options,
+    };
     let (tuned, seconds) = updated(args, folder, scene, &references, &options, stop, quiet)?;
     files::write(&folder.delivery, serde_json::to_string_pretty(&tuned.record)?.as_bytes())?;
     let progress = |_: &'static str, _: f64| {
@@ -197,7 +211,7 @@ pub(super) fn fine_tuned(
     let encoded = write(&tuned.scene, &tuned.decisions, &progress)?;
     let damage = Damage::of(scene, &tuned, &unseen(dataset, scene, max_side, background)?)?;
     let section = page::section(&tuned.record, seconds, &damage)?;
-    Ok(Tuned { encoded, record: tuned.record, section })
+    Ok(Tuned { encoded, record: tuned.record, section, choice })
 }
 
 /// Makes the updates, from the checkpoint on where there is one, and keeps their log; and how many seconds
@@ -277,8 +291,9 @@ fn begun(args: &Train, folder: &Folder) -> Result<Option<Tuning>> {
 }
 
 /// What came of it, for people: which updates were taken, and what that gives where packets are lost.
-pub(super) fn outcome(record: &Record, options: &DeliveryOptions) -> String {
-    let mut text = format!(
+pub(super) fn outcome(record: &Record, options: &DeliveryOptions, choice: Option<&RankChoice>) -> String {
+    let mut text = choice.map_or_else(String::new, rank::said);
+    text += &format!(
         "  {} of {} updates for delivery, {}\n",
         record.objective.len(),
         options.updates,

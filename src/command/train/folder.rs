@@ -22,6 +22,8 @@ pub(super) struct Folder {
     pub(super) report: PathBuf,
     /// Options of the encoder that `stream` is made with.
     pub(super) encoder: PathBuf,
+    /// What ranks of the temporal basis came to, and the one that was taken.
+    pub(super) ranks: PathBuf,
     /// What was fixed before fine-tuning for delivery.
     pub(super) registration: PathBuf,
     /// Fine-tuning for delivery, to go on with.
@@ -54,6 +56,7 @@ impl Folder {
             preview: file("preview.png"),
             report: file("report.html"),
             encoder: file("encoder.json"),
+            ranks: file("ranks.json"),
             registration: file("registration.json"),
             tuning: file("delivery.dgst"),
             delivery_log: file("delivery.csv"),
@@ -61,11 +64,16 @@ impl Folder {
         }
     }
 
+    /// Whether fine-tuning for delivery was begun in it.
+    pub(super) fn has_fine_tuning(&self) -> bool {
+        self.ranks.is_file() || self.tuning.is_file()
+    }
+
     /// Makes the folder, or refuses one that is in use. No other training opens it while what this returns
     /// lives.
     pub(super) fn open(&self, args: &Train) -> Result<Option<File>> {
         let out = &args.out;
-        let begun = [&self.checkpoint, &self.epochs, &self.tuning];
+        let begun = [&self.checkpoint, &self.epochs, &self.ranks, &self.tuning];
         if args.resume && !begun.iter().any(|file| file.is_file()) {
             bail!("{}: no such checkpoint; train without --resume first", self.checkpoint.display());
         }
@@ -97,9 +105,9 @@ impl Folder {
         Ok(lock)
     }
 
-    fn files(&self) -> [&Path; 12] {
+    fn files(&self) -> [&Path; 13] {
         let Self { checkpoint, stream, utility, epochs, log, preview, report, encoder, .. } = self;
-        let Self { registration, tuning, delivery_log, delivery, .. } = self;
+        let Self { ranks, registration, tuning, delivery_log, delivery, .. } = self;
         [
             checkpoint,
             stream,
@@ -109,6 +117,7 @@ impl Folder {
             preview,
             report,
             encoder,
+            ranks,
             registration,
             tuning,
             delivery_log,

@@ -39,7 +39,7 @@ pub(super) fn resumed(args: &Train, folder: &Folder) -> Result<Option<Checkpoint
     }
     let path = &folder.checkpoint;
     // A scene that is fine-tuned is not trained.
-    if !path.is_file() && folder.tuning.is_file() && args.delivery.is_some() {
+    if !path.is_file() && folder.has_fine_tuning() && args.delivery.is_some() {
         return Ok(None);
     }
     if !path.is_file() {

@@ -1,10 +1,12 @@
 //! Rank study: the shared temporal basis of profile paper after packet-conditioned training, rank by
 //! validation.
 
+use std::ops::ControlFlow;
+
 use anyhow::{Context, Result};
 use trainer_host::{
     encode,
-    train::delivery::{DeliveryOptions, RankResult, Variant, choose_rank, sweep_ranks},
+    train::delivery::{DeliveryOptions, RankResult, Update, Variant, choose_rank, measure_rank},
 };
 
 use super::delivery::{Size, Study, mean_and_deviation};
@@ -47,7 +49,12 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         let list = if at % VALIDATED == VALIDATED - 1 { &mut validation } else { &mut training };
         list.push(reference.clone());
     }
-    let results = sweep_ranks(&study.scene, &training, &validation, &options, (ranks, seeds))?;
+    let mut results = Vec::new();
+    for (&rank, &seed) in ranks.iter().flat_map(|rank| seeds.iter().map(move |seed| (rank, seed))) {
+        let went_on = |_: &Update| ControlFlow::Continue(());
+        let run = (rank, seed);
+        results.extend(measure_rank(&study.scene, &training, &validation, &options, run, &went_on)?);
+    }
     let values: [(&str, &str, Value); 4] = [
         ("clean", "dB", |r| r.clean_db),
         ("burst5_p10", "dB", |r| r.p10_db),

@@ -6,7 +6,7 @@ use super::{
     config::DeliveryOptions,
     error::DeliveryError,
     evaluate::{Evaluation, evaluate},
-    fine_tune::fine_tune,
+    fine_tune::{Update, fine_tune},
     masks::Masks,
     view::Reference,
     {LossModel, Validation},
@@ -14,7 +14,7 @@ use super::{
 use crate::scene::Scene;
 
 /// What one rank came to with one seed.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct RankResult {
     /// Vectors of the shared temporal basis, at most.
     pub rank: usize,
@@ -47,41 +47,38 @@ const RULE: &str = "the highest mean 0.10 quantile of PSNR over validation state
 /// Ranks within this of the best count as equal to it, dB.
 const EQUAL_DB: f64 = 0.02;
 
-/// Trains `scene` at each of `ranks` with each of `seeds` under `options`, and measures each on `validation`:
-/// the same bursts of 5 % loss at every rank, drawn on that rank's own stream with the seed of the states.
+/// Fine-tunes `scene` under `options` at one rank with one seed, and measures it on `validation`: bursts of
+/// 5 % loss drawn on that rank's own stream with the seed of the states. `None` where `progress` ends it.
 ///
 /// # Errors
 /// As [`fine_tune`].
-pub fn sweep_ranks(
+pub fn measure_rank(
     scene: &Scene,
     references: &[Reference],
     validation: &[Reference],
     options: &DeliveryOptions,
-    (ranks, seeds): (&[usize], &[u64]),
-) -> Result<Vec<RankResult>, DeliveryError> {
-    let mut results = Vec::new();
-    for &rank in ranks {
-        for &seed in seeds {
-            let mut options = DeliveryOptions { seed, registration: None, ..options.clone() };
-            options.encode.rank = rank;
-            options.validation = Validation { candidates: 0, ..options.validation };
-            let tuned = fine_tune(scene, references, &options, &|_| ControlFlow::Continue(()))?;
-            let encoded = crate::encode::write(&tuned.scene, &tuned.decisions, &crate::encode::no_progress)?;
-            let loss = LossModel::Burst { share: 0.05, length: 6.0 };
-            let states = options.validation.states;
-            let masks = Masks::draw(&encoded.stream, loss, options.unit, states, seed)?;
-            let found: Evaluation = evaluate(&tuned.scene, &tuned.decisions, &masks, validation)?;
-            results.push(RankResult {
-                rank,
-                seed,
-                clean_db: found.clean_db,
-                p10_db: found.p10_db(),
-                worst_tenth_db: found.worst_tenth_db(),
-                wire_bytes: found.wire_bytes,
-            });
-        }
+    (rank, seed): (usize, u64),
+    progress: &dyn Fn(&Update) -> ControlFlow<()>,
+) -> Result<Option<RankResult>, DeliveryError> {
+    let mut options = DeliveryOptions { seed, registration: None, ..options.clone() };
+    options.encode.rank = rank;
+    options.validation = Validation { candidates: 0, ..options.validation };
+    let tuned = fine_tune(scene, references, &options, progress)?;
+    if tuned.record.objective.len() < options.updates {
+        return Ok(None);
     }
-    Ok(results)
+    let encoded = crate::encode::write(&tuned.scene, &tuned.decisions, &crate::encode::no_progress)?;
+    let loss = LossModel::Burst { share: 0.05, length: 6.0 };
+    let masks = Masks::draw(&encoded.stream, loss, options.unit, options.validation.states, seed)?;
+    let found: Evaluation = evaluate(&tuned.scene, &tuned.decisions, &masks, validation)?;
+    Ok(Some(RankResult {
+        rank,
+        seed,
+        clean_db: found.clean_db,
+        p10_db: found.p10_db(),
+        worst_tenth_db: found.worst_tenth_db(),
+        wire_bytes: found.wire_bytes,
+    }))
 }
 
 /// The rank with the highest mean 0.10 quantile over seeds; of ranks within 0.02 dB of it the one with the

@@ -1,0 +1,49 @@
+//! `dgs train --delivery --choose-rank`: the rank of the shared temporal basis by validation.
+
+use std::fs;
+
+use super::{ok, refused, train};
+
+/// Every rank is tried with every seed, one is taken by the rule that is written down, and none is measured
+/// again.
+#[test]
+fn the_rank_is_chosen_by_validation() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let config = r#"{"updates": 1, "worlds": 1, "validation": {"every": 4, "states": 1, "candidates": 1}}"#;
+    fs::write(at.join("config.json"), config).unwrap();
+    let args = ["-o", "out", "--delivery", "config.json", "--references", "8", "--choose-rank"];
+    let text = ok(at, &args);
+    let json = |file: &str| -> serde_json::Value {
+        serde_json::from_slice(&fs::read(at.join(file)).unwrap()).unwrap()
+    };
+    let ranks = json("out/ranks.json");
+    let results = ranks["results"].as_array().unwrap();
+    let seen: Vec<_> =
+        results.iter().map(|r| (r["rank"].as_u64().unwrap(), r["seed"].as_u64().unwrap())).collect();
+    assert_eq!(seen, (0..=8).flat_map(|rank| (1..=3).map(move |seed| (rank, seed))).collect::<Vec<_>>());
+    let rank = ranks["choice"]["rank"].as_u64().unwrap();
+    assert!(text.contains(&format!("rank {rank} of 0 to 8, each with three seeds")), "{text}");
+    let alone = ["-o", "alone", "--delivery", "config.json", "--references", "8"];
+    ok(at, &[&alone[..], &["--rank", &rank.to_string()]].concat());
+    let stream = |of: &str| fs::read(at.join(of).join("scene.dgs")).unwrap();
+    assert!(stream("out") == stream("alone"), "the same as with this rank typed");
+
+    // What was measured counts: with other results another rank is taken. The fine-tuning begins anew.
+    fs::remove_file(at.join("out/delivery.dgst")).unwrap();
+    let mut other = ranks.clone();
+    for result in other["results"].as_array_mut().unwrap() {
+        if result["rank"] == (rank + 1) % 9 {
+            result["p10_db"] = 99.0.into();
+        }
+    }
+    fs::write(at.join("out/ranks.json"), other.to_string()).unwrap();
+    let text = ok(at, &[&args[..], &["--resume"]].concat());
+    assert!(text.contains(&format!("rank {} of 0 to 8", (rank + 1) % 9)), "{text}");
+    // Those of others do not.
+    let error =
+        refused(at, &["-o", "out", "--delivery", "iid", "--references", "8", "--choose-rank", "--resume"]);
+    assert!(error.contains("ranks.json: without this file ranks are measured anew"), "{error}");
+    let both = train(at, &["-o", "x", "--delivery", "iid", "--choose-rank", "--rank", "3"]);
+    assert_eq!(both.status.code(), Some(64), "{both:?}");
+}
