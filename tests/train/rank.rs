@@ -44,6 +44,16 @@ fn the_rank_is_chosen_by_validation() {
     let error =
         refused(at, &["-o", "out", "--delivery", "iid", "--references", "8", "--choose-rank", "--resume"]);
     assert!(error.contains("ranks.json: without this file ranks are measured anew"), "{error}");
+    other["results"][0]["rank"] = 1_000_000.into();
+    fs::write(at.join("out/ranks.json"), other.to_string()).unwrap();
+    let error = refused(at, &[&args[..], &["--resume"]].concat());
+    assert!(error.contains("ranks.json") && error.contains("not of ranks and seeds"), "{error}");
+    // Nothing to compare ranks by.
+    let config = r#"{"updates": 1, "worlds": 1, "validation": {"every": 9, "states": 1, "candidates": 0}}"#;
+    fs::write(at.join("few.json"), config).unwrap();
+    let few = ["-o", "x", "--delivery", "few.json", "--references", "6", "--choose-rank"];
+    let error = refused(at, &few);
+    assert!(error.contains("6 training views; at least 9"), "{error}");
     let both = train(at, &["-o", "x", "--delivery", "iid", "--choose-rank", "--rank", "3"]);
     assert_eq!(both.status.code(), Some(64), "{both:?}");
 }

@@ -82,7 +82,8 @@ pub(super) fn check(
     rank::check(args, options)?;
     options.recorded.as_deref().map(Recording::read).transpose().context("recorded")?;
     let found = dataset.train.photographs().len().min(args.references);
-    let needed = if options.validation.candidates == 0 { 1 } else { options.validation.every };
+    let is_validated = options.validation.candidates > 0 || args.choose_rank;
+    let needed = if is_validated { options.validation.every } else { 1 };
     if found < needed {
         bail!("{found} training views; at least {needed}, one of them for validation, are needed");
     }

@@ -61,8 +61,8 @@ pub(super) fn chosen(
     }
     let options = DeliveryOptions { updates: options.updates.div_ceil(PART_OF_UPDATES), ..options.clone() };
     let of = format!("{}, {} pictures, options {:016x}", args.input, references.len(), options.hash());
-    let mut measured = begun(args, folder, of)?;
     let runs: Vec<(usize, u64)> = RANKS.flat_map(|rank| SEEDS.map(|seed| (rank, seed))).collect();
+    let mut measured = begun(args, folder, of, &runs)?;
     let bar = Progress::new("choose the rank", quiet.0);
     for (at, &(rank, seed)) in runs.iter().enumerate().skip(measured.results.len()) {
         let result = measure_rank(scene, &training, &validation, &options, (rank, seed), &|update| {
@@ -81,8 +81,8 @@ pub(super) fn chosen(
     Ok(choice)
 }
 
-/// What was measured before, if this goes on with it; `of` is what it depends on.
-fn begun(args: &Train, folder: &Folder, of: String) -> Result<Measured> {
+/// What was measured before, the first of `runs`, if this goes on with it; `of` is what it depends on.
+fn begun(args: &Train, folder: &Folder, of: String, runs: &[(usize, u64)]) -> Result<Measured> {
     let path = &folder.ranks;
     if !args.resume || !path.is_file() {
         return Ok(Measured { of, results: Vec::new(), choice: None });
@@ -92,6 +92,10 @@ fn begun(args: &Train, folder: &Folder, of: String) -> Result<Measured> {
         serde_json::from_slice(&std::fs::read(path).with_context(named)?).with_context(named)?;
     if measured.of != of {
         return Err(anyhow!("of {:?}; now it would be of {of:?}", measured.of)).with_context(named);
+    }
+    let found: Vec<_> = measured.results.iter().map(|result| (result.rank, result.seed)).collect();
+    if !runs.starts_with(&found) {
+        return Err(anyhow!("results are not of ranks and seeds in their order")).with_context(named);
     }
     Ok(measured)
 }
