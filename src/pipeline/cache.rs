@@ -21,7 +21,7 @@ use super::Quiet;
 use crate::{files, progress::Progress};
 
 /// Grows when what is stored means something else.
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 /// What is stored as a digest.
 const DIGESTED: [&str; 5] = ["stream", "scene", "cameras", "photographs", "settings"];
 /// How two pictures are compared.
@@ -328,11 +328,11 @@ mod tests {
 
         // A file of an earlier version lacks what has come since; its version is what is said.
         let mut earlier: Value = serde_json::from_slice(&std::fs::read(&cache).unwrap()).unwrap();
-        earlier["measured"]["version"] = json!(3);
+        earlier["measured"]["version"] = json!(4);
         let group = earlier["table"]["groups"][0].as_object_mut().unwrap();
-        assert!(group.remove("gain").is_some());
+        assert!(group.remove("together").is_some());
         std::fs::write(&cache, earlier.to_string()).unwrap();
         let error = stored_utilities(&cache, manifest.raw()).unwrap_err().to_string();
-        assert!(error.contains("version 3, where version 4"), "{error}");
+        assert!(error.contains("version 4, where version 5"), "{error}");
     }
 }

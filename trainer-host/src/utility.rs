@@ -29,6 +29,7 @@ mod contexts;
 mod error;
 mod gain;
 mod references;
+mod together;
 mod truncation;
 mod versions;
 
@@ -108,6 +109,9 @@ pub struct GroupUtility {
     pub utility: f64,
     /// Δ where everything else is there, mean over views.
     pub gain: f64,
+    /// Of a group of level 0: Δ of all such groups of its span at once, where everything else is there, mean
+    /// over the views of `gain`. What they gain one by one does not add up to it.
+    pub together: Option<f64>,
 }
 
 /// Utilities of all groups of one stream, as stored beside it.
@@ -175,24 +179,30 @@ pub fn measure(
         }
     }
     let done = std::sync::atomic::AtomicUsize::new(0);
-    let results: Result<Vec<Vec<Delta>>, UtilityError> = jobs
+    let results: Result<Vec<(Vec<Delta>, f64)>, UtilityError> = jobs
         .par_iter()
         .map(|job| {
             let mut deltas = deltas_in_view(references, content, map, job, options)?;
             deltas.iter_mut().for_each(|delta| delta.delta /= job.views as f64);
+            let together = match job.is_of_gains(options) {
+                true => together::in_view(references, content, map, job, options)? / job.views as f64,
+                false => 0.0,
+            };
             let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
             progress(n as f64 / jobs.len() as f64);
-            Ok(deltas)
+            Ok((deltas, together))
         })
         .collect();
     // Of each group and context, the mean over views.
     let mut samples: Vec<Vec<f64>> = vec![Vec::new(); map.groups().len()];
     let mut gains = vec![0.0; map.groups().len()];
+    let mut together = gains.clone();
     let mut deltas = 0;
-    for (job, found) in jobs.iter().zip(results?) {
+    for (job, (found, of_all)) in jobs.iter().zip(results?) {
         deltas += found.len() as u64;
+        job.span.groups(map).for_each(|(_, groups)| together[groups[0]] += of_all);
         for Delta { group, context, delta } in found {
-            if job.quantity == Quantity::Gain || options.complete {
+            if job.is_of_gains(options) {
                 gains[group] += delta;
             }
             if job.quantity == Quantity::Utility {
@@ -201,9 +211,10 @@ pub fn measure(
             }
         }
     }
-    let groups = map.groups().iter().zip(&mut samples).zip(gains).map(|(((group, _), samples), gain)| {
+    let groups = map.groups().iter().zip(&mut samples).enumerate().map(|(at, ((group, _), samples))| {
         let cell = content.manifest.cell(group.span, group.cluster).map_or(0, |c| c.0);
-        GroupUtility { gain, ..summarise(cell, group.level, samples, options) }
+        let together = (group.level == Level::BASE).then(|| together[at]);
+        GroupUtility { gain: gains[at], together, ..summarise(cell, group.level, samples, options) }
     });
     let contexts =
         if options.complete { "complete state".to_owned() } else { format!("{} contexts", options.states()) };
@@ -232,6 +243,13 @@ struct Job<'a> {
     views: usize,
 }
 
+impl Job<'_> {
+    /// Whether its state is the complete one.
+    fn is_of_gains(&self, options: &UtilityOptions) -> bool {
+        self.quantity == Quantity::Gain || options.complete
+    }
+}
+
 /// Mean, tail, deviation and risk-adjusted utility of a group's samples.
 fn summarise(cell: u32, level: Level, samples: &mut [f64], options: &UtilityOptions) -> GroupUtility {
     samples.sort_unstable_by(f64::total_cmp);
@@ -241,7 +259,7 @@ fn summarise(cell: u32, level: Level, samples: &mut [f64], options: &UtilityOpti
     let tail = quantile(samples, 0.1);
     let deviation = variance.sqrt();
     let utility = ((1.0 - options.alpha) * mean + options.alpha * tail) / (1.0 + options.beta * deviation);
-    GroupUtility { cell, level: level.get(), mean, tail, deviation, utility, gain: 0.0 }
+    GroupUtility { cell, level: level.get(), mean, tail, deviation, utility, gain: 0.0, together: None }
 }
 
 /// Linear-interpolated quantile of sorted samples; 0 if there are none.

@@ -94,7 +94,7 @@ fn with_cluster(content: &Content<'_>, state: &[u8], other: &[u8], cluster: Clus
 }
 
 /// D of the picture that `state` shows.
-fn distance(
+pub(super) fn distance(
     content: &Content<'_>,
     state: &[u8],
     view: &View,

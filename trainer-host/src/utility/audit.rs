@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     fn group(level: u8, mean: f64, tail: f64, deviation: f64) -> GroupUtility {
-        GroupUtility { cell: 0, level, mean, tail, deviation, utility: mean, gain: mean }
+        GroupUtility { cell: 0, level, mean, tail, deviation, utility: mean, gain: mean, together: None }
     }
 
     #[test]

@@ -3,9 +3,14 @@
 //! A clip that is delivered at all is nearly whole, and a group decides over the picture among what is there
 //! already. On cameras that nothing was measured from, orders by gain leave smaller errors at the same bytes
 //! than orders by the risk-adjusted utility over random states (`dgs bench utility`), and a gain takes one
-//! state where that takes 32.
+//! state where that takes 32. But gains do not add up ([`super::GroupUtility::together`]): where a link carries
+//! a part of the base only, a schedule by their sums buys motion that the picture does not show and leaves
+//! holes. So those of level 0 are scaled, span by span, to what they gain at once; their order within a span
+//! stays.
 
-use codec_core::internals::ids::Span;
+use std::collections::BTreeMap;
+
+use codec_core::internals::ids::{Level, Span};
 use render_host::{Camera, CameraError};
 
 use super::{Table, truncation::group_bytes};
@@ -18,6 +23,9 @@ use crate::{
 /// Share of a group's expected gain that is what its bytes gain in all groups of its kind: a few cameras miss
 /// what a group adds elsewhere, so that none counts for nothing.
 const SHARED: f64 = 0.02;
+/// Most that what a span gains at once scales the gains of its groups, either way: both are measured from few
+/// views.
+const LARGEST_SCALE: f64 = 4.0;
 
 /// The cameras that gains are measured from, from where viewers look: one validation ring.
 ///
@@ -30,26 +38,49 @@ pub fn gain_cameras(scene: &Scene) -> Result<Vec<Camera>, CameraError> {
 impl Table {
     /// What each group of `stream`, whose map is `map`, is expected to add to a frame in which it shows: at
     /// least 0, and 0 only where no group of its kind (level; window or epoch) that the stream has gains
-    /// anything. Measured gains, where they are positive, drawn by 2 % towards what the kind gains per byte.
+    /// anything. Measured gains, where they are positive, drawn by 2 % towards what the kind gains per byte;
+    /// those of level 0 scaled so that the gains of a span add up to what it gains at once.
     /// In the unit of D, in the order of [`PacketMap::groups`].
     pub fn expected_gains(&self, stream: &Stream, map: &PacketMap) -> Vec<f64> {
         let bytes = group_bytes(stream, map);
+        let gains = self.gains_at_once(map);
         let kinds = map.groups().iter().map(|(group, _)| {
             2 * usize::from(group.level.get()) + usize::from(matches!(group.span, Span::Motion(_)))
         });
         let mut sums = [(0.0, 0.0); 8];
-        let groups = || self.groups.iter().zip(&bytes).zip(kinds.clone());
+        let groups = || gains.iter().zip(&bytes).zip(kinds.clone());
         // Of a stream that was cut, what is not there tells nothing of the bytes that are.
-        for ((group, bytes), kind) in groups().filter(|((_, bytes), _)| **bytes > 0.0) {
-            sums[kind].0 += group.gain.max(0.0);
+        for ((gain, bytes), kind) in groups().filter(|((_, bytes), _)| **bytes > 0.0) {
+            sums[kind].0 += gain;
             sums[kind].1 += bytes;
         }
-        let expected = groups().map(|((group, bytes), kind)| {
-            let (gain, all) = sums[kind];
-            let per_byte = if all > 0.0 { gain / all } else { 0.0 };
-            (1.0 - SHARED) * group.gain.max(0.0) + SHARED * per_byte * bytes
+        let expected = groups().map(|((gain, bytes), kind)| {
+            let (all_gains, all_bytes) = sums[kind];
+            let per_byte = if all_bytes > 0.0 { all_gains / all_bytes } else { 0.0 };
+            (1.0 - SHARED) * gain + SHARED * per_byte * bytes
         });
         expected.collect()
+    }
+
+    /// Measured gains where they are positive, else 0; those of level 0 scaled so that a span's add up to
+    /// what they gain at once.
+    fn gains_at_once(&self, map: &PacketMap) -> Vec<f64> {
+        let mut gains: Vec<f64> = self.groups.iter().map(|group| group.gain.max(0.0)).collect();
+        let mut bases: BTreeMap<Span, Vec<usize>> = BTreeMap::new();
+        for (at, (group, _)) in map.groups().iter().enumerate() {
+            if group.level == Level::BASE {
+                bases.entry(group.span).or_default().push(at);
+            }
+        }
+        for span in bases.values() {
+            let sum: f64 = span.iter().map(|at| gains[*at]).sum();
+            let together = span.first().and_then(|at| self.groups[*at].together);
+            if let Some(together) = together.filter(|together| *together > 0.0 && sum > 0.0) {
+                let scale = (together / sum).clamp(1.0 / LARGEST_SCALE, LARGEST_SCALE);
+                span.iter().for_each(|at| gains[*at] *= scale);
+            }
+        }
+        gains
     }
 }
 
@@ -74,6 +105,7 @@ mod tests {
         let how = UtilityOptions { contexts: 1, ..UtilityOptions::paper() };
         let mut table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();
         let level = |group: &GroupUtility| usize::from(group.level);
+        table.groups.iter_mut().for_each(|group| group.together = None);
         // Level 1 gains nothing anywhere; of the others, every third group was not seen.
         for (at, group) in table.groups.iter_mut().enumerate() {
             match (level(group), at % 3) {
@@ -94,5 +126,38 @@ mod tests {
         };
         let (before, after) = (sum(&|group, _| group.gain.max(0.0)), sum(&|_, expected| expected));
         assert!((after / before - 1.0).abs() < 1e-9, "{before} {after}");
+    }
+
+    /// The bases of a span are expected to add what they add at once.
+    #[test]
+    fn bases_add_up_to_what_they_gain_at_once() {
+        let options = synth::SynthOptions { gaussians: 1000, frames: 20, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let options = EncodeOptions { pictures: 0, ..Default::default() };
+        let stream = encode(&scene, &options, &no_progress).unwrap().stream;
+        let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
+        let cameras = Framing::of(&scene).ring(Ring::Validation, 2, (40, 30)).unwrap();
+        let references = References::renders(&scene, &cameras, &cameras);
+        let how = UtilityOptions { contexts: 1, complete: true, ..UtilityOptions::paper() };
+        let mut table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();
+        let places = |table: &Table, level: u8| {
+            let of_epoch = |at: &usize| matches!(map.groups()[*at].0.span, Span::Canonical(_));
+            (0..table.groups.len()).filter(of_epoch).filter(|at| table.groups[*at].level == level).collect()
+        };
+        let (bases, upper): (Vec<usize>, Vec<usize>) = (places(&table, 0), places(&table, 1));
+        let sum = |table: &Table, places: &[usize]| -> f64 {
+            let gains = table.gains_at_once(&map);
+            places.iter().map(|at| gains[*at]).sum()
+        };
+        let together = table.groups[bases[0]].together.unwrap();
+        assert!((sum(&table, &bases) / together - 1.0).abs() < 1e-9);
+        let refined = sum(&table, &upper);
+        // What they gain at once scales them, and only them; beyond a factor of 4 it is not believed.
+        bases.iter().for_each(|at| table.groups[*at].together = Some(2.0 * together));
+        assert!((sum(&table, &bases) / together - 2.0).abs() < 1e-9 && sum(&table, &upper) == refined);
+        bases.iter().for_each(|at| table.groups[*at].together = None);
+        let unscaled = sum(&table, &bases);
+        bases.iter().for_each(|at| table.groups[*at].together = Some(100.0 * unscaled));
+        assert!((sum(&table, &bases) / unscaled - LARGEST_SCALE).abs() < 1e-9);
     }
 }

@@ -1,6 +1,9 @@
 //! Tests utilities against stepping one cell at a time and rendering every state alone.
 
-use codec_core::internals::ids::Span;
+use codec_core::internals::{
+    closure::Arrived,
+    ids::{EpochId, Group, Span, WindowId},
+};
 use render_host::{Camera, Renderer, Splats, adjoint::loss::photograph::Photograph};
 
 use super::*;
@@ -8,6 +11,7 @@ use crate::{
     Scene, Stream,
     encode::{self, encode},
     import::{self, synth},
+    stream::Player,
     train::{PixelMask, PosedPhotograph, Training, Views},
     viewpoint::{Framing, Ring},
 };
@@ -106,6 +110,52 @@ fn one_table_on_any_number_of_threads_and_another_for_other_contexts() {
     assert_eq!(pool.install(|| measure(&options)), table);
     let other = measure(&UtilityOptions { seed: 2, ..options.clone() });
     assert_ne!(other.groups, table.groups);
+}
+
+/// What bases add at once, from states that are put together block by block and rendered alone.
+#[test]
+fn what_bases_add_at_once_is_that_of_states_rendered_alone() {
+    let (scene, stream) = moving();
+    let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
+    let (content, options) = (received.content(), UtilityOptions { contexts: 1, ..few() });
+    let cameras = two_cameras(&scene);
+    let references = References::renders(&scene, &cameras, &cameras);
+    let table = measure(&references, &content, &map, &options, &|_| {}).unwrap();
+    let (mut player, mut renderer) = (Player::new(content.manifest), Renderer::new());
+    for span in [Span::Canonical(EpochId(0)), Span::Motion(WindowId(1))] {
+        let bases = || {
+            let groups = map.groups().iter().enumerate().map(|(at, (group, _))| (at, *group));
+            groups.filter(|(_, group)| group.span == span && group.level == Level::BASE)
+        };
+        let blocks = |group: Group| versions::blocks_of(&content, span, group.cluster).unwrap();
+        let without = |with: &[Group]| {
+            let mut state = content.blocks.to_vec();
+            for (_, group) in bases() {
+                state[blocks(group)].copy_from_slice(&map.initial()[blocks(group)]);
+            }
+            for group in with {
+                state[blocks(*group)].iter_mut().for_each(|b| *b = Arrived(*b).with(Level::BASE).0);
+            }
+            state
+        };
+        let all: Vec<Group> = bases().map(|(_, group)| group).collect();
+        let mut mean = |state: &[u8]| {
+            let distances = (0..2).map(|index| {
+                let seen = references.view(&content, span, Quantity::Gain, index, 1, &options.settings);
+                let (_, view) = seen.unwrap();
+                alone::distance(&content, state, &view, &options, &mut player, &mut renderer).unwrap()
+            });
+            distances.sum::<f64>() / 2.0
+        };
+        let at_once = mean(&without(&[])) - mean(&without(&all));
+        let measured = || bases().map(|(at, _)| &table.groups[at]);
+        assert!(measured().all(|base| (base.together.unwrap() - at_once).abs() < 1e-12), "{span:?}");
+        let sum: f64 = measured().map(|base| base.gain).sum();
+        assert!(all.len() > 4 && (sum - at_once).abs() > 1e-4, "it is not their sum: {sum} {at_once}");
+    }
+    let upper = table.groups.iter().filter(|group| group.level > 0);
+    assert!(upper.clone().count() > 4);
+    assert!(upper.clone().all(|group| group.together.is_none()));
 }
 
 /// 8-bit photographs of `scene` at some frames, from every camera in turn, twice as large as the cameras.
