@@ -185,7 +185,7 @@ pub fn measure(
             let mut deltas = deltas_in_view(references, content, map, job, options)?;
             deltas.iter_mut().for_each(|delta| delta.delta /= job.views as f64);
             let together = match job.is_of_gains(options) {
-                true => together::in_view(references, content, map, job, options)? / job.views as f64,
+                true => job.together(references, content, map, options)? / job.views as f64,
                 false => 0.0,
             };
             let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
@@ -247,6 +247,20 @@ impl Job<'_> {
     /// Whether its state is the complete one.
     fn is_of_gains(&self, options: &UtilityOptions) -> bool {
         self.quantity == Quantity::Gain || options.complete
+    }
+
+    /// What the bases of its span add at once in its view.
+    fn together(
+        &self,
+        references: &References<'_>,
+        content: &Content<'_>,
+        map: &PacketMap,
+        options: &UtilityOptions,
+    ) -> Result<f64, UtilityError> {
+        let UtilityOptions { seed, settings, .. } = options;
+        let (_, view) =
+            references.view(content, self.span.span, self.quantity, self.view, *seed, settings)?;
+        together::in_view(&view, content, map, self.span, settings)
     }
 }
 

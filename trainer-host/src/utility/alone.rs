@@ -5,12 +5,12 @@ use codec_core::internals::{
     receiver::Content,
 };
 use rayon::prelude::*;
-use render_host::{Renderer, Settings, Splats, metric};
+use render_host::Renderer;
 
 use super::{
     Delta, References, UtilityError, UtilityOptions,
     contexts::{SpanCells, spans},
-    references::{Quantity, View},
+    references::Quantity,
     state_of, versions,
 };
 use crate::stream::{PacketMap, Player};
@@ -65,7 +65,7 @@ pub(super) fn deltas_in_view(
             for levels in 0..=groups.len() {
                 let stepped = span.stepped(map, content, &state, levels);
                 let state = with_cluster(content, &state, &stepped, ClusterId(cluster as u16));
-                let distance = distance(content, &state, &view, options, player, renderer)?;
+                let distance = view.distance(content, &state, &options.settings, player, renderer)?;
                 if let (Some(before), Some(below)) = (before, levels.checked_sub(1)) {
                     deltas.push(Delta { group: groups[below], context, delta: before - distance });
                 }
@@ -91,27 +91,4 @@ fn with_cluster(content: &Content<'_>, state: &[u8], other: &[u8], cluster: Clus
         out[blocks.clone()].copy_from_slice(&other[blocks]);
     }
     out
-}
-
-/// D of the picture that `state` shows.
-pub(super) fn distance(
-    content: &Content<'_>,
-    state: &[u8],
-    view: &View,
-    options: &UtilityOptions,
-    player: &mut Player,
-    renderer: &mut Renderer,
-) -> Result<f64, UtilityError> {
-    let shown = player.show(&content.with_state(state), view.frame)?;
-    let refused = |e: &dyn std::fmt::Display| UtilityError::Render(e.to_string());
-    let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree).map_err(|e| refused(&e))?;
-    // The threads are busy with other states: one render is one task.
-    let settings = Settings { parallel: false, ..options.settings.clone() };
-    let rendered = renderer.render(&splats, &view.camera, &settings);
-    let picture = rendered.map_err(|e| refused(&e))?.image;
-    let picture = match &view.counted {
-        Some(mask) => metric::where_counted(&picture, &view.reference, mask.values()),
-        None => Ok(picture),
-    };
-    picture.and_then(|picture| metric::distortion(&picture, &view.reference)).map_err(|e| refused(&e))
 }

@@ -3,10 +3,11 @@
 //! A clip that is delivered at all is nearly whole, and a group decides over the picture among what is there
 //! already. On cameras that nothing was measured from, orders by gain leave smaller errors at the same bytes
 //! than orders by the risk-adjusted utility over random states (`dgs bench utility`), and a gain takes one
-//! state where that takes 32. But gains do not add up ([`super::GroupUtility::together`]): where a link carries
-//! a part of the base only, a schedule by their sums buys motion that the picture does not show and leaves
-//! holes. So those of level 0 are scaled, span by span, to what they gain at once; their order within a span
-//! stays.
+//! state where that takes 32.
+//!
+//! But gains do not add up ([`super::GroupUtility::together`]): where a link carries a part of the base only,
+//! a schedule by their sums buys motion of parts that are not there. So those of level 0 are scaled, span by
+//! span, to what they gain at once; their order within a span stays.
 
 use std::collections::BTreeMap;
 

@@ -9,11 +9,12 @@ use codec_core::internals::{
 use rand::{RngExt, seq::SliceRandom};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
-use render_host::{Camera, Image, Renderer, Settings, Splats};
+use render_host::{Camera, Image, Renderer, Settings, Splats, metric};
 
 use super::error::UtilityError;
 use crate::{
     scene::Scene,
+    stream::Player,
     train::{PixelMask, Views},
 };
 
@@ -77,6 +78,31 @@ pub(super) struct View {
     pub(super) camera: Camera,
     pub(super) reference: Image,
     pub(super) counted: Option<PixelMask>,
+}
+
+impl View {
+    /// D of the picture that `state` shows.
+    pub(super) fn distance(
+        &self,
+        content: &Content<'_>,
+        state: &[u8],
+        settings: &Settings,
+        player: &mut Player,
+        renderer: &mut Renderer,
+    ) -> Result<f64, UtilityError> {
+        let shown = player.show(&content.with_state(state), self.frame)?;
+        let refused = |e: &dyn std::fmt::Display| UtilityError::Render(e.to_string());
+        let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree).map_err(|e| refused(&e))?;
+        // The threads are busy with other states: one render is one task.
+        let settings = Settings { parallel: false, ..settings.clone() };
+        let rendered = renderer.render(&splats, &self.camera, &settings);
+        let picture = rendered.map_err(|e| refused(&e))?.image;
+        let picture = match &self.counted {
+            Some(mask) => metric::where_counted(&picture, &self.reference, mask.values()),
+            None => Ok(picture),
+        };
+        picture.and_then(|picture| metric::distortion(&picture, &self.reference)).map_err(|e| refused(&e))
+    }
 }
 
 impl ReferencePhotographs {

@@ -143,7 +143,7 @@ fn what_bases_add_at_once_is_that_of_states_rendered_alone() {
             let distances = (0..2).map(|index| {
                 let seen = references.view(&content, span, Quantity::Gain, index, 1, &options.settings);
                 let (_, view) = seen.unwrap();
-                alone::distance(&content, state, &view, &options, &mut player, &mut renderer).unwrap()
+                view.distance(&content, state, &options.settings, &mut player, &mut renderer).unwrap()
             });
             distances.sum::<f64>() / 2.0
         };
