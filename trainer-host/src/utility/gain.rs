@@ -7,7 +7,8 @@
 //!
 //! But gains do not add up ([`super::GroupUtility::together`]): where a link carries a part of the base only,
 //! a schedule by their sums buys motion of parts that are not there. So those of level 0 are scaled, span by
-//! span, to what they gain at once; their order within a span stays.
+//! span, to what they gain at once; their order within a span stays. A still scene is one span, and is left
+//! as it is: there orders by gains as measured leave the smaller error.
 
 use std::collections::BTreeMap;
 
@@ -40,7 +41,8 @@ impl Table {
     /// What each group of `stream`, whose map is `map`, is expected to add to a frame in which it shows: at
     /// least 0, and 0 only where no group of its kind (level; window or epoch) that the stream has gains
     /// anything. Measured gains, where they are positive, drawn by 2 % towards what the kind gains per byte;
-    /// those of level 0 scaled so that the gains of a span add up to what it gains at once.
+    /// those of level 0, where there are several spans, scaled so that a span's add up to what they gain at
+    /// once.
     /// In the unit of D, in the order of [`PacketMap::groups`].
     pub fn expected_gains(&self, stream: &Stream, map: &PacketMap) -> Vec<f64> {
         let bytes = group_bytes(stream, map);
@@ -64,7 +66,8 @@ impl Table {
     }
 
     /// Measured gains where they are positive, else 0; those of level 0 scaled so that a span's add up to
-    /// what they gain at once.
+    /// what they gain at once. Where there is one span only, they stay: its bases compete with its own
+    /// refinements, and measured gains order those better.
     fn gains_at_once(&self, map: &PacketMap) -> Vec<f64> {
         let mut gains: Vec<f64> = self.groups.iter().map(|group| group.gain.max(0.0)).collect();
         let mut bases: BTreeMap<Span, Vec<usize>> = BTreeMap::new();
@@ -73,7 +76,7 @@ impl Table {
                 bases.entry(group.span).or_default().push(at);
             }
         }
-        for span in bases.values() {
+        for span in bases.values().filter(|_| bases.len() > 1) {
             let sum: f64 = span.iter().map(|at| gains[*at]).sum();
             let together = span.first().and_then(|at| self.groups[*at].together);
             if let Some(together) = together.filter(|together| *together > 0.0 && sum > 0.0) {
@@ -160,5 +163,25 @@ mod tests {
         let unscaled = sum(&table, &bases);
         bases.iter().for_each(|at| table.groups[*at].together = Some(100.0 * unscaled));
         assert!((sum(&table, &bases) / unscaled - LARGEST_SCALE).abs() < 1e-9);
+    }
+
+    /// Of one span nothing is compared with another's.
+    #[test]
+    fn a_still_scene_goes_by_gains_as_measured() {
+        let options = synth::SynthOptions { gaussians: 1000, frames: 1, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let options = EncodeOptions { pictures: 0, ..Default::default() };
+        let stream = encode(&scene, &options, &no_progress).unwrap().stream;
+        let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
+        let cameras = Framing::of(&scene).ring(Ring::Validation, 2, (40, 30)).unwrap();
+        let references = References::renders(&scene, &cameras, &cameras);
+        let how = UtilityOptions { contexts: 1, complete: true, ..UtilityOptions::paper() };
+        let table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();
+        let together = table.groups[0].together.unwrap();
+        let bases = || table.groups.iter().filter(|group| group.level == 0);
+        let sum: f64 = bases().map(|group| group.gain.max(0.0)).sum();
+        assert!((together / sum - 1.0).abs() > 0.01, "scaling would show: {together} {sum}");
+        let gains: Vec<f64> = table.groups.iter().map(|group| group.gain.max(0.0)).collect();
+        assert_eq!(table.gains_at_once(&map), gains);
     }
 }
