@@ -10,7 +10,7 @@
 //! keep them apart from those on which quality is reported.
 
 use codec_core::internals::{
-    ids::{Level, Span},
+    ids::{EpochId, Level, Span},
     receiver::Content,
 };
 use rayon::prelude::*;
@@ -18,7 +18,7 @@ use render_host::Settings;
 
 use self::{
     contexts::{SpanCells, spans},
-    references::{Quantity, random},
+    references::{Quantity, View, random},
     versions::Clusters,
 };
 use crate::stream::PacketMap;
@@ -110,7 +110,8 @@ pub struct GroupUtility {
     /// Δ where everything else is there, mean over views.
     pub gain: f64,
     /// Of a group of level 0: Δ of all such groups of its span at once, where everything else is there, mean
-    /// over the views of `gain`. What they gain one by one does not add up to it.
+    /// over the views of `gain`. What they gain one by one does not add up to it. Measured where there are
+    /// several spans, to compare them.
     pub together: Option<f64>,
 }
 
@@ -178,15 +179,19 @@ pub fn measure(
             jobs.extend((0..views).map(|view| Job { span, quantity: *quantity, view, views }));
         }
     }
+    // Of one span nothing is compared with another's.
+    let are_several = spans.len() > 1;
     let done = std::sync::atomic::AtomicUsize::new(0);
     let results: Result<Vec<(Vec<Delta>, f64)>, UtilityError> = jobs
         .par_iter()
         .map(|job| {
-            let mut deltas = deltas_in_view(references, content, map, job, options)?;
+            let (epoch, view) = job.seen(references, content, options)?;
+            let mut deltas = deltas_in_view(content, map, job, (epoch, &view), options)?;
             deltas.iter_mut().for_each(|delta| delta.delta /= job.views as f64);
-            let together = match job.is_of_gains(options) {
-                true => job.together(references, content, map, options)? / job.views as f64,
-                false => 0.0,
+            let together = if are_several && job.is_of_gains(options) {
+                together::in_view(&view, content, map, job.span, &options.settings)? / job.views as f64
+            } else {
+                0.0
             };
             let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
             progress(n as f64 / jobs.len() as f64);
@@ -198,9 +203,9 @@ pub fn measure(
     let mut gains = vec![0.0; map.groups().len()];
     let mut together = gains.clone();
     let mut deltas = 0;
-    for (job, (found, of_all)) in jobs.iter().zip(results?) {
+    for (job, (found, in_view)) in jobs.iter().zip(results?) {
         deltas += found.len() as u64;
-        job.span.groups(map).for_each(|(_, groups)| together[groups[0]] += of_all);
+        job.span.groups(map).for_each(|(_, groups)| together[groups[0]] += in_view);
         for Delta { group, context, delta } in found {
             if job.is_of_gains(options) {
                 gains[group] += delta;
@@ -213,7 +218,7 @@ pub fn measure(
     }
     let groups = map.groups().iter().zip(&mut samples).enumerate().map(|(at, ((group, _), samples))| {
         let cell = content.manifest.cell(group.span, group.cluster).map_or(0, |c| c.0);
-        let together = (group.level == Level::BASE).then(|| together[at]);
+        let together = (are_several && group.level == Level::BASE).then(|| together[at]);
         GroupUtility { gain: gains[at], together, ..summarise(cell, group.level, samples, options) }
     });
     let contexts =
@@ -249,18 +254,15 @@ impl Job<'_> {
         self.quantity == Quantity::Gain || options.complete
     }
 
-    /// What the bases of its span add at once in its view.
-    fn together(
+    /// Its view, and the epoch that it shows.
+    fn seen(
         &self,
         references: &References<'_>,
         content: &Content<'_>,
-        map: &PacketMap,
         options: &UtilityOptions,
-    ) -> Result<f64, UtilityError> {
+    ) -> Result<(EpochId, View), UtilityError> {
         let UtilityOptions { seed, settings, .. } = options;
-        let (_, view) =
-            references.view(content, self.span.span, self.quantity, self.view, *seed, settings)?;
-        together::in_view(&view, content, map, self.span, settings)
+        references.view(content, self.span.span, self.quantity, self.view, *seed, settings)
     }
 }
 
@@ -293,15 +295,13 @@ struct Delta {
 
 /// Δ of all groups of one span in all contexts, in one view of the span.
 fn deltas_in_view(
-    references: &References<'_>,
     content: &Content<'_>,
     map: &PacketMap,
-    &Job { span, quantity, view, .. }: &Job<'_>,
+    &Job { span, quantity, .. }: &Job<'_>,
+    (epoch, view): (EpochId, &View),
     options: &UtilityOptions,
 ) -> Result<Vec<Delta>, UtilityError> {
     let options = &options.of_quantity(quantity);
-    let (epoch, view) =
-        references.view(content, span.span, quantity, view, options.seed, &options.settings)?;
     let mut clusters = Clusters::new(content, epoch, view.frame);
     let (mut waiting, mut out) = (Vec::new(), Vec::new());
     // Contexts whose clusters show versions of their own go to the engine one at a time: together, each would
@@ -318,7 +318,7 @@ fn deltas_in_view(
         are_shared &= known == 0 || clusters.values() == known;
         if !are_shared || clusters.values() > MAX_VALUES || context + 1 == options.states() {
             let shown: Vec<Vec<u32>> = waiting.iter().map(|(_, shown, _)| shown.clone()).collect();
-            let found = clusters.distortions(&shown, &view, &options.settings)?;
+            let found = clusters.distortions(&shown, view, &options.settings)?;
             for (index, (context, _, steps)) in waiting.drain(..).enumerate() {
                 for (cluster, groups) in span.groups(map) {
                     let distortion =

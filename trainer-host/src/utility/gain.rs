@@ -66,8 +66,7 @@ impl Table {
     }
 
     /// Measured gains where they are positive, else 0; those of level 0 scaled so that a span's add up to
-    /// what they gain at once. Where there is one span only, they stay: its bases compete with its own
-    /// refinements, and measured gains order those better.
+    /// what they gain at once, where that was measured.
     fn gains_at_once(&self, map: &PacketMap) -> Vec<f64> {
         let mut gains: Vec<f64> = self.groups.iter().map(|group| group.gain.max(0.0)).collect();
         let mut bases: BTreeMap<Span, Vec<usize>> = BTreeMap::new();
@@ -76,7 +75,7 @@ impl Table {
                 bases.entry(group.span).or_default().push(at);
             }
         }
-        for span in bases.values().filter(|_| bases.len() > 1) {
+        for span in bases.values() {
             let sum: f64 = span.iter().map(|at| gains[*at]).sum();
             let together = span.first().and_then(|at| self.groups[*at].together);
             if let Some(together) = together.filter(|together| *together > 0.0 && sum > 0.0) {
@@ -97,17 +96,24 @@ mod tests {
         utility::{GroupUtility, References, UtilityOptions, measure},
     };
 
-    #[test]
-    fn gains_that_were_measured_keep_their_order_and_what_measured_none_counts_a_little() {
-        let options = synth::SynthOptions { gaussians: 1000, frames: 20, ..Default::default() };
+    /// A made figure in so many frames, its groups and their gains.
+    fn measured(frames: usize) -> (Stream, PacketMap, Table) {
+        let options = synth::SynthOptions { gaussians: 1000, frames, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let options = EncodeOptions { pictures: 0, ..Default::default() };
         let stream = encode(&scene, &options, &no_progress).unwrap().stream;
-        let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
+        let map = PacketMap::of(&stream).unwrap();
         let cameras = Framing::of(&scene).ring(Ring::Validation, 2, (40, 30)).unwrap();
         let references = References::renders(&scene, &cameras, &cameras);
-        let how = UtilityOptions { contexts: 1, ..UtilityOptions::paper() };
-        let mut table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();
+        let how = UtilityOptions { complete: true, ..UtilityOptions::paper() };
+        let received = stream.receive().unwrap();
+        let table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();
+        (stream, map, table)
+    }
+
+    #[test]
+    fn gains_that_were_measured_keep_their_order_and_what_measured_none_counts_a_little() {
+        let (stream, map, mut table) = measured(20);
         let level = |group: &GroupUtility| usize::from(group.level);
         table.groups.iter_mut().for_each(|group| group.together = None);
         // Level 1 gains nothing anywhere; of the others, every third group was not seen.
@@ -135,15 +141,7 @@ mod tests {
     /// The bases of a span are expected to add what they add at once.
     #[test]
     fn bases_add_up_to_what_they_gain_at_once() {
-        let options = synth::SynthOptions { gaussians: 1000, frames: 20, ..Default::default() };
-        let scene = synth::make(&options, &Limits::default()).unwrap();
-        let options = EncodeOptions { pictures: 0, ..Default::default() };
-        let stream = encode(&scene, &options, &no_progress).unwrap().stream;
-        let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
-        let cameras = Framing::of(&scene).ring(Ring::Validation, 2, (40, 30)).unwrap();
-        let references = References::renders(&scene, &cameras, &cameras);
-        let how = UtilityOptions { contexts: 1, complete: true, ..UtilityOptions::paper() };
-        let mut table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();
+        let (_, map, mut table) = measured(20);
         let places = |table: &Table, level: u8| {
             let of_epoch = |at: &usize| matches!(map.groups()[*at].0.span, Span::Canonical(_));
             (0..table.groups.len()).filter(of_epoch).filter(|at| table.groups[*at].level == level).collect()
@@ -165,23 +163,15 @@ mod tests {
         assert!((sum(&table, &bases) / unscaled - LARGEST_SCALE).abs() < 1e-9);
     }
 
-    /// Of one span nothing is compared with another's.
     #[test]
     fn a_still_scene_goes_by_gains_as_measured() {
-        let options = synth::SynthOptions { gaussians: 1000, frames: 1, ..Default::default() };
-        let scene = synth::make(&options, &Limits::default()).unwrap();
-        let options = EncodeOptions { pictures: 0, ..Default::default() };
-        let stream = encode(&scene, &options, &no_progress).unwrap().stream;
-        let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
-        let cameras = Framing::of(&scene).ring(Ring::Validation, 2, (40, 30)).unwrap();
-        let references = References::renders(&scene, &cameras, &cameras);
-        let how = UtilityOptions { contexts: 1, complete: true, ..UtilityOptions::paper() };
-        let table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();
-        let together = table.groups[0].together.unwrap();
-        let bases = || table.groups.iter().filter(|group| group.level == 0);
-        let sum: f64 = bases().map(|group| group.gain.max(0.0)).sum();
-        assert!((together / sum - 1.0).abs() > 0.01, "scaling would show: {together} {sum}");
+        let (_, map, mut table) = measured(1);
+        assert!(table.groups.iter().all(|group| group.together.is_none()));
         let gains: Vec<f64> = table.groups.iter().map(|group| group.gain.max(0.0)).collect();
         assert_eq!(table.gains_at_once(&map), gains);
+        // If it were measured, it would count.
+        let sum: f64 = table.groups.iter().filter(|group| group.level == 0).map(|group| group.gain).sum();
+        table.groups.iter_mut().for_each(|group| group.together = Some(2.0 * sum));
+        assert_ne!(table.gains_at_once(&map), gains);
     }
 }

@@ -2,7 +2,7 @@
 
 use codec_core::internals::{
     closure::Arrived,
-    ids::{EpochId, Group, Span, WindowId},
+    ids::{Group, WindowId},
 };
 use render_host::{Camera, Renderer, Splats, adjoint::loss::photograph::Photograph};
 
@@ -65,7 +65,8 @@ fn utilities_are_those_of_states_rendered_alone() {
     assert!(spans.iter().any(|s| matches!(s.span, Span::Motion(_))), "there is motion to measure");
     let (mut compared, mut largest, mut shifted) = (0, 0.0f64, 0.0f64);
     for span in [&spans[0], &spans[spans.len() - 1]] {
-        let got = deltas_in_view(&references, &content, &map, &job(span), &options).unwrap();
+        let (epoch, view) = job(span).seen(&references, &content, &options).unwrap();
+        let got = deltas_in_view(&content, &map, &job(span), (epoch, &view), &options).unwrap();
         let expected = alone::deltas_in_view(&references, &content, &map, span, 1, &options, 1).unwrap();
         assert_eq!(got.len(), expected.len());
         for (got, expected) in got.iter().zip(&expected) {
