@@ -92,8 +92,9 @@ pub enum Verb {
     ///
     /// Scenes and streams are rendered from the same cameras, in the coordinates of B; of two sides that have
     /// different directions up, A is turned if it is a scene. Pictures are compared with pictures of the same
-    /// names, or in the order of their names where none is the same; or with renders: of the cameras that
-    /// `dgs render` takes, or those that are typed, by name where names say and else in order.
+    /// names, or in the order of their names where none is the same; or with renders of their size: of the
+    /// cameras that `dgs render` takes, or those that are typed, by name (the longest end of the path that is
+    /// the same) where any is the same, and then all must be, else in order.
     Compare(Compare),
     /// Send a scene or a .dgs file over an emulated link under one scheduler.
     ///
@@ -367,9 +368,13 @@ pub struct Demo {
     /// Scene, as for import [default: synth:figure:8000:60].
     #[arg(long)]
     pub scene: Option<String>,
-    /// Folder for the report.
+    /// Folder for the report: report.html, report.json, and utility.json, which is measured anew only where
+    /// it is of something else.
     #[arg(short, long, default_value = "dgs-demo")]
     pub out: PathBuf,
+    /// Replace these files where any of them is there already.
+    #[arg(long)]
+    pub overwrite: bool,
     /// The link.
     #[command(flatten)]
     pub link: LinkArgs,

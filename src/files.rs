@@ -96,8 +96,8 @@ pub(crate) fn check_apart(path: &Path, others: &[&Path]) -> Result<()> {
     if is_standard_output(path) {
         return Ok(());
     }
-    let resolved = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    let is_path = |other: &&&Path| fs::canonicalize(other).map_or(**other == path, |other| other == resolved);
+    let resolved = without_links(path);
+    let is_path = |other: &&&Path| without_links(other) == resolved;
     // A device or a pipe is what it is called.
     if fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
         return Ok(());
@@ -116,6 +116,12 @@ pub(crate) fn check_apart(path: &Path, others: &[&Path]) -> Result<()> {
         ),
         None => Ok(()),
     }
+}
+
+/// `path` without links; of a file that is not there yet, what its folder is without them.
+fn without_links(path: &Path) -> PathBuf {
+    let in_folder = || Some(fs::canonicalize(folder_of(path)).ok()?.join(path.file_name()?));
+    fs::canonicalize(path).ok().or_else(in_folder).unwrap_or_else(|| path.to_owned())
 }
 
 /// Writes `bytes` as `path`: all of them, or what was there before stays.

@@ -1,6 +1,7 @@
 //! Runs the steps from scene to report that every verb and every experiment is made of.
 
 mod cache;
+mod camera_names;
 mod cameras;
 mod frames;
 mod impair;
@@ -9,6 +10,7 @@ mod link;
 mod live;
 mod piped;
 mod recording;
+mod refused;
 mod sendable;
 mod watching;
 
@@ -31,8 +33,9 @@ use trainer_host::{
 
 pub(crate) use self::{
     cache::{reference_photographs, stored_utilities, utilities_of_clip},
+    camera_names::{file_names, listed, shared_end, stem},
     cameras::RENDER_RING,
-    frames::LeftOut,
+    frames::{LeftOut, note_of},
     impair::{LIGHT_LOADS, impairment, light_load},
     limit::{Lost, freezes},
     link::{impaired_link, rate_words},
@@ -104,7 +107,7 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
     };
     let path = Path::new(input);
     if piped::is_piped(path) && !is_stream(input) {
-        bail!("{input}: is a pipe and no stream; scenes are read from files and folders");
+        bail!("{input}: is no file, folder or stream; scenes are read from files and folders");
     }
     if !piped::is_piped(path) && !path.exists() {
         bail!("{input}: no such file or folder (built-in scenes are named synth:figure and the like)");
@@ -128,7 +131,9 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
                 damage = Some(format!("{error:#}; what is readable is kept"));
                 scene
             }
-            read => read.map_err(hinted)?,
+            read => read.map_err(|error| {
+                refused::hinted(error, path, || import::import(path, &options(true)).is_ok())
+            })?,
         },
     };
     scene.up = match (args.up, scene.default_up) {
@@ -168,21 +173,6 @@ fn trained(path: &Path, frames_per_second: Option<f64>) -> Result<Option<Scene>>
     let mut scene = checkpoint.model().scene(checkpoint.frames, rate)?;
     scene.default_up = Some(checkpoint.up());
     Ok(Some(scene))
-}
-
-/// The error, with the option that helps.
-fn hinted(error: import::ImportError) -> anyhow::Error {
-    let helps = match error.kind {
-        import::ErrorKind::TooLarge if &*error.field == "Gaussian count" => {
-            Some("--max-gaussians accepts more")
-        }
-        _ if error.allowed.contains("finite") => Some("--keep-readable leaves such Gaussians out"),
-        _ => None,
-    };
-    match helps {
-        Some(helps) => anyhow::anyhow!("{error}; {helps}"),
-        None => error.into(),
-    }
 }
 
 fn synth_options(text: &str, args: &SceneArgs) -> Result<synth::SynthOptions> {
@@ -298,12 +288,23 @@ pub fn read_stream(path: &Path, warn: &mut dyn FnMut(String)) -> Result<Stream> 
 /// # Errors
 /// As [`read_stream`].
 pub(crate) fn stream_of(path: &Path, bytes: &[u8], warn: &mut dyn FnMut(String)) -> Result<Stream> {
-    let is_scene = !bytes.starts_with(&codec_core::internals::wire::file::MAGIC);
+    let magic = codec_core::internals::wire::file::MAGIC;
+    let is_stream = bytes.starts_with(&magic);
     let format = import::sniff(bytes, path);
-    if is_scene && format != import::Format::Unknown {
+    if !is_stream && format != import::Format::Unknown {
         bail!(
             "{}: is a scene ({format}), no stream: dgs import says what it holds, dgs encode makes a stream \
              of it",
+            path.display()
+        );
+    }
+    // Fewer bytes are refused by their number.
+    if !is_stream && bytes.len() >= magic.len() {
+        let [found, wanted] = [&bytes[..magic.len()], &magic].map(<[u8]>::escape_ascii);
+        let instead = refused::instead(path).map(|instead| format!("; {instead}")).unwrap_or_default();
+        bail!(
+            "{}: no usable .dgs file (dgs encode makes one of a scene): it begins with \"{found}\"; \
+             \"{wanted}\" is allowed{instead}",
             path.display()
         );
     }

@@ -18,7 +18,7 @@ pub(crate) use self::{
     config::{Config, Outline},
     digests::Digests,
     estimate::{Cost, Progressed},
-    folder::{Folder, Origin},
+    folder::{Finished, Folder, Origin},
 };
 
 use std::time::Instant;
@@ -88,13 +88,14 @@ impl Shard {
     }
 }
 
-/// Runs what `shard` lacks in `folder`, batches in parallel on the threads of the caller's pool.
+/// Runs what `shard` lacks in `folder` or has damaged there, batches in parallel on the threads of the
+/// caller's pool.
 ///
 /// # Errors
 /// A simulation that is refused, or a file that cannot be written; what was finished stays.
 pub(crate) fn run(sweep: &Sweep, folder: &Folder, shard: Shard, progress: &Progress) -> Result<Progressed> {
     let own: Vec<u64> = (0..folder.batches()).filter(|batch| shard.has(*batch)).collect();
-    let missing: Vec<u64> = own.iter().copied().filter(|batch| !folder.has(*batch)).collect();
+    let missing: Vec<u64> = own.par_iter().copied().filter(|batch| !folder.has_whole(*batch)).collect();
     let start = Instant::now();
     let done = std::sync::atomic::AtomicUsize::new(0);
     let cost: Result<Vec<Cost>> = missing

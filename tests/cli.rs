@@ -5,6 +5,8 @@
 #[cfg(unix)]
 #[path = "cli/logged.rs"]
 mod logged;
+#[path = "cli/never_drawn.rs"]
+mod never_drawn;
 #[path = "cli/run.rs"]
 #[allow(dead_code, reason = "other tests use the rest")]
 mod run;
@@ -34,6 +36,12 @@ fn decisions_are_written_inspected_and_replayed() {
     let error =
         stopped(at, &["encode", scene, "--out", "c.dgs", "--decisions", "a.json", "--search", "5"], 64);
     assert!(error.contains("--search"), "{error}");
+    // What one file would write over another is refused before the work.
+    for decisions in ["--decisions", "--decisions-out"] {
+        let error =
+            refused(at, &["encode", scene, "-o", "u.dgs", "--utility", decisions, "./u.utility.json"]);
+        assert!(error.contains("u.utility.json: is read or written besides"), "{error}");
+    }
 }
 
 #[test]
@@ -83,6 +91,8 @@ fn the_demo_writes_its_report_and_names_it_last() {
         assert!(html.contains(name), "{name}");
     }
     assert!(!html.contains("http://") && !html.contains("https://"), "the page must not load anything");
+    let error = refused(at, &args);
+    assert!(error.contains("report.html: is there already") && error.contains("--overwrite"), "{error}");
     let json = std::fs::read_to_string(at.join("dgs-demo/report.json")).unwrap();
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json["runs"].as_array().unwrap().len(), 4);

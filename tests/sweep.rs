@@ -94,6 +94,31 @@ fn threads_and_shards_change_no_byte() {
     assert!(error.contains("00000.jsonl") && error.contains("are the same batch and differ"), "{error}");
 }
 
+#[test]
+fn a_batch_that_was_cut_is_made_again_or_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let (quick, out) = (quick(), at(&folder, "out"));
+    ok(&["sweep", &quick, "-o", &out]);
+    let expected = contents(Path::new(&out));
+    let cut = |name: &str| {
+        fs::OpenOptions::new().write(true).open(Path::new(&out).join(name)).unwrap().set_len(1000)
+    };
+    cut("runs/00000.jsonl").unwrap();
+    cut("trajectories/00001.parquet").unwrap();
+    let text = ok(&["sweep", &quick, "-o", &out]);
+    assert!(text.contains("1 of 3 batches of this share were there"), "{text}");
+    assert!(text.contains("48 of 72 simulations took") && !text.contains("missing"), "{text}");
+    assert!(contents(Path::new(&out)) == expected, "a batch that is made again has other bytes");
+
+    // A table that is not asked for is not made again either.
+    cut("trajectories/00002.parquet").unwrap();
+    let error = refused(&["sweep", &quick, "-o", &out, "--no-trajectories"]);
+    assert!(
+        error.contains("1 of 3 batches are not whole") && error.contains("00002.parquet: 1000 bytes"),
+        "{error}"
+    );
+}
+
 /// The quick design with one replicate over the trace `file`, as `name` in `folder`.
 fn over_file(folder: &tempfile::TempDir, name: &str, file: &str) -> String {
     let config = at(folder, name);

@@ -11,6 +11,8 @@ mod photographs;
 mod rank;
 #[path = "train/recorded.rs"]
 mod recorded;
+#[path = "train/resumed.rs"]
+mod resumed;
 
 use std::{
     fs,
@@ -239,9 +241,26 @@ fn a_clip_that_becomes_another_is_trained_in_parts_and_goes_on_from_any() {
     let _ = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(2), "done, but not all of it");
     let again = ["-o", "left", "--resume"];
-    json(births(&again));
+    // What is typed of the training is what it was begun with, and steps are more than were taken.
+    let left = |args: &[&str]| {
+        let cameras = ["--side", "64", "--cameras", "6", "--pictures", "0", "--json"];
+        let mut command = Command::new(env!("CARGO_BIN_EXE_dgs"));
+        command.current_dir(at).args(["train", "synth:births:1000:12"]).args(again).args(cameras).args(args);
+        command
+    };
+    for (args, named) in [
+        (["--steps", "2"], "--steps is 2, 1 of them for left/epoch-"),
+        (["--gaussians", "1400"], "epochs.json: --gaussians: not as in the checkpoint"),
+    ] {
+        let error = String::from_utf8(left(&args).output().unwrap().stderr).unwrap();
+        assert!(error.contains(named), "{error}");
+    }
+    // Of what is not typed, parts that are begun later have what was typed at first.
+    json(left(&[]));
     let stream = |folder: &str| fs::read(at.join(folder).join("scene.dgs")).unwrap();
     assert_eq!(stream("left"), stream("parts"));
+    let error = String::from_utf8(left(&["--steps", "300"]).output().unwrap().stderr).unwrap();
+    assert!(error.contains("complete, after 200 steps"), "{error}");
     let plan = fs::read_to_string(at.join("left/epochs.json")).unwrap();
     fs::write(at.join("left/epochs.json"), plan.replace("12", "13")).unwrap();
     let refused = births(&again).output().unwrap();
@@ -283,10 +302,12 @@ fn fine_tuning_for_delivery_fixes_its_rules_before_it_starts() {
         .current_dir(at)
         .args(white)
         .args(["--delivery", "config.json", "--references", "8", "--background", "1"])
+        .args(["--frames", "2", "--split", "1", "--evaluations", "3", "--encoding-loss", "0.2"])
         .output()
         .unwrap();
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && text.contains("background [1.0, 1.0, 1.0]"), "{text}");
+    assert!(text.contains("one: --frames, --split, --evaluations, --encoding-loss\n"), "{text}");
     let error = refused(at, &["-o", "other", "--delivery", "config.json", "--utility"]);
     assert!(error.contains("--utility") && error.contains("measures neither"), "{error}");
     let error = refused(at, &["-o", "other", "--delivery", "no-such-variant"]);
@@ -437,8 +458,10 @@ fn an_interrupted_fine_tuning_goes_on_to_the_same_bytes() {
     assert!(error.contains("parts: another dgs train is at work in it"), "{error}");
     let _ = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(2), "done, but not all of it");
+    let registered = fs::read(at.join("parts/registration.json")).unwrap();
     let error = refused(at, &["-o", "parts", "--delivery", "other.json", "--references", "8", "--resume"]);
     assert!(error.contains("delivery.dgst") && error.contains("the configuration"), "{error}");
+    assert!(fs::read(at.join("parts/registration.json")).unwrap() == registered, "what was fixed stays");
     run("parts", "--resume");
     let written = |out: &str, file: &str| fs::read(at.join(out).join(file)).unwrap();
     assert!(written("whole", "scene.dgs") == written("parts", "scene.dgs"));

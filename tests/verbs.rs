@@ -423,6 +423,15 @@ fn shells_and_manuals_know_every_verb() {
         assert!(pages.iter().any(|page| page == verb), "{pages:?}");
     }
     assert!(fs::read_to_string(at.join("dgs-render.1")).unwrap().contains("turntable"));
+    // Whatever a page refers to is there.
+    for page in pages.iter().filter(|name| name.ends_with(".1")) {
+        let text = fs::read_to_string(at.join(page)).unwrap().replace('\\', "");
+        for name in text.split_whitespace().filter(|word| word.starts_with("dgs-") && word.ends_with("(1)")) {
+            let file = name.replace("(1)", ".1");
+            assert!(pages.contains(&file), "{page} refers to {name}");
+        }
+    }
+    assert!(pages.iter().any(|page| page == "dgs-sweep-merge.1"), "{pages:?}");
     stopped(at, &["man", "nowhere"], 1);
 }
 

@@ -7,7 +7,6 @@
 use crate::{
     error::{Error, ErrorKind, Result},
     limits,
-    rans::table::SLOTS,
 };
 
 /// The most that a receiver takes on. Every field is a largest allowed value.
@@ -16,7 +15,7 @@ use crate::{
 /// use codec_core::Caps;
 ///
 /// let phone = Caps { gaussians_per_epoch: 200_000, symbols: 16 << 20, ..Caps::HOST };
-/// assert!(phone.memory_bytes() < Caps::HOST.memory_bytes());
+/// assert!(phone.arena_words() < Caps::HOST.arena_words());
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -53,9 +52,8 @@ pub struct Caps {
 }
 
 impl Caps {
-    /// For computers and telephones: under 1 GiB of receiver memory ([`Caps::memory_bytes`]), all fields
-    /// together. An arena of [`Caps::arena_words`] also has a place for the decoder and for the frame shown:
-    /// under 3 GiB.
+    /// For computers and telephones: under 1 GiB of receiver memory, all fields together. An arena of
+    /// [`Caps::arena_words`] also has a place for the decoder and for the frame shown: under 3 GiB.
     pub const HOST: Self = Self {
         gaussians_per_epoch: 4 << 20,
         frames: limits::MAX_FRAMES,
@@ -71,9 +69,8 @@ impl Caps {
         blocks_per_packet: limits::MAX_PACKET_BLOCKS,
     };
 
-    /// For microcontrollers: under 1 MiB of receiver memory ([`Caps::memory_bytes`]), all fields together. An
-    /// arena of [`Caps::arena_words`] also has a place for the decoder and for the frame shown: under 2.25
-    /// MiB.
+    /// For microcontrollers: under 1 MiB of receiver memory, all fields together. An arena of
+    /// [`Caps::arena_words`] also has a place for the decoder and for the frame shown: under 2.25 MiB.
     pub const SMALL: Self = Self {
         gaussians_per_epoch: 4096,
         frames: 16_384,
@@ -88,20 +85,6 @@ impl Caps {
         values_per_packet: limits::MAX_PACKET_VALUES,
         blocks_per_packet: limits::MAX_PACKET_BLOCKS,
     };
-
-    /// Bytes of receiver memory that no stream within these caps exceeds; without the decoder's and that of
-    /// the frame shown, which [`Caps::arena_words`] adds.
-    pub const fn memory_bytes(&self) -> u64 {
-        // Symbols are counted per level of canonical cells, and marked one by one, by `paper` only.
-        let counted = if self.cells < limits::MAX_CLUSTERS { self.cells } else { limits::MAX_CLUSTERS };
-        let (counters, marks) = (counted as u64 * 16, (self.symbols as u64).div_ceil(8));
-        let cells = self.cells as u64 * 8 + self.blocks as u64;
-        let symbols = self.symbols as u64 * 2;
-        let packets = (self.packets as u64).div_ceil(8);
-        let tables = self.tables as u64 * 4 * SLOTS as u64;
-        let bytes = self.manifest_bytes as u64 + self.parity_bytes as u64 + self.early_bytes as u64;
-        cells + symbols + counters + marks + packets + tables + bytes
-    }
 }
 
 impl Default for Caps {
@@ -124,18 +107,6 @@ pub(crate) fn within(field: &'static str, found: u64, most: u32) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_host_stays_under_a_gibibyte_and_a_microcontroller_under_a_mebibyte() {
-        assert!(Caps::HOST.memory_bytes() < 1 << 30, "{}", Caps::HOST.memory_bytes());
-        assert!(Caps::SMALL.memory_bytes() < 1 << 20, "{}", Caps::SMALL.memory_bytes());
-        let arena = |caps: Caps| 8 * caps.arena_words() as u64;
-        assert!(arena(Caps::SMALL) < 9 << 18, "{}", arena(Caps::SMALL));
-        // On targets of 32 bits the number of words saturates.
-        assert!(usize::BITS < 64 || arena(Caps::HOST) < 3 << 30, "{}", arena(Caps::HOST));
-        let most = Caps { symbols: u32::MAX, cells: u32::MAX, ..Caps::HOST };
-        assert!(most.memory_bytes() > 1 << 32, "the sum is taken in 64 bits");
-    }
 
     #[test]
     fn a_refusal_names_field_found_and_allowed() {

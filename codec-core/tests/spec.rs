@@ -19,6 +19,8 @@ mod listing;
 mod manifest;
 #[path = "spec/packets.rs"]
 mod packets;
+#[path = "spec/refused.rs"]
+mod refused;
 #[allow(dead_code, reason = "the tests of golden streams use the rest")]
 #[path = "conformance/session.rs"]
 mod session;
@@ -103,6 +105,8 @@ fn a_wrong_table_is_found() {
         ("| 1 | 0x", "| 2 | 0x", "coefficient(2, "),
         ("| checksum | 3 |", "| checksum | 4 |", "checksum"),
         ("| manifest.magic manifest.version", "| manifest.version", "manifest.magic"),
+        ("| parity.id | contradiction |", "| parity.id | illegal |", "parity.id is contradiction"),
+        ("cluster.radius | illegal |", "cluster.radius | unknown |", "cluster.radius is illegal"),
         ("| parity | 0b110 |", "| parity | 0b111 |", "kind parity"),
         ("| 296 | 05 db 8a a0 |", "| 296 | 05 db 8b a0 |", "one.dgs at 296"),
         ("| 366 | 00 00 | end of the packets |", "", "one.dgs row 362 ends"),

@@ -21,11 +21,7 @@
 mod linear_program;
 
 use self::linear_program::{DATAGRAM_OVERHEAD, LinearProgram, fine_variables};
-use crate::{
-    clock::Nanos,
-    graph::{PacketGraph, pieces::Pieces},
-    link::PathConfig,
-};
+use crate::{clock::Nanos, graph::PacketGraph, link::PathConfig};
 
 pub use self::linear_program::UpperBound;
 
@@ -58,13 +54,13 @@ pub fn upper_bound(graph: &PacketGraph, path: &PathConfig, start: Nanos, steps: 
         // What is shown must have left the link one delay earlier.
         path.bytes_until(shown - path.delay).0.saturating_sub(control) as f64
     };
-    let pieces = Pieces::new(graph);
-    let coarse = LinearProgram::new(graph, &pieces, COARSE_SLOT, &capacity).solve(steps);
-    if fine_variables(graph, &pieces) > MAX_FINE {
+    let division = graph.division();
+    let coarse = LinearProgram::new(graph, &division, COARSE_SLOT, &capacity).solve(steps);
+    if fine_variables(graph, &division.pieces) > MAX_FINE {
         return coarse;
     }
     // Tighter, but slower to solve: after few steps the coarse one may be ahead.
-    let fine = LinearProgram::new(graph, &pieces, 1, &capacity).solve(steps);
+    let fine = LinearProgram::new(graph, &division, 1, &capacity).solve(steps);
     if fine.utility < coarse.utility { fine } else { coarse }
 }
 
@@ -78,6 +74,7 @@ mod tests {
         link::Capacity,
         session::{Startup, StartupRule},
         simulate,
+        trace::Step,
     };
 
     fn bottleneck() -> Synthetic {
@@ -170,6 +167,22 @@ mod tests {
             let utility = simulate(&harmed, &config).unwrap().utility;
             assert!(utility <= most, "{}: {utility} {most}", policy.name());
         }
+    }
+
+    /// Steps of a millisecond in which less than two bytes move: the bound is that of a constant rate.
+    #[test]
+    fn fine_steps_of_a_trace_are_no_less_than_they_carry() {
+        let graph = Synthetic { rate: Rate::from_kbps(40), ..bottleneck() }.build(1).unwrap();
+        let rate = Rate(15_900);
+        let steps = (0..20_000).map(|at| Step { at: Nanos::from_ms(at), rate }).collect();
+        let trace = Trace::steps("fine", steps, Nanos::from_s(20)).unwrap();
+        let path = |capacity| PathConfig { capacity, ..PathConfig::default() };
+        let bound = |capacity| upper_bound(&graph, &path(capacity), Nanos::from_s(1), 400).utility;
+        let fine = bound(Capacity::Trace(trace.clone()));
+        assert_eq!(fine, bound(Capacity::Constant(rate)));
+        let config = after_a_second(path(Capacity::Trace(trace)));
+        let utility = simulate(&graph, &config).unwrap().utility;
+        assert!(utility <= fine, "{utility} {fine}");
     }
 
     #[test]

@@ -262,8 +262,6 @@ impl GroupKey {
 #[derive(Clone, Debug)]
 pub struct PacketGraph {
     parts: GraphParts,
-    /// Groups, every one after all that it needs.
-    order: Vec<GroupIndex>,
     /// What runs ask of single packets and groups lies in tables of its own: the records are large, and a run
     /// touches them in no order.
     packet_ids: Vec<PacketId>,
@@ -374,11 +372,6 @@ impl PacketGraph {
     /// The closure rule.
     pub fn profile(&self) -> ClosureRule {
         self.parts.profile
-    }
-
-    /// Groups in an order in which everything needed comes first; ties by index.
-    pub fn order(&self) -> &[GroupIndex] {
-        &self.order
     }
 
     /// `group` and all that it needs, transitively; needed groups first, `group` last.

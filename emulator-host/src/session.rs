@@ -31,6 +31,7 @@ mod parity_queue;
 mod reported_pose;
 mod run;
 mod sender;
+mod threshold;
 mod view_state;
 mod viewer;
 mod viewer_path;
@@ -99,12 +100,8 @@ pub struct SessionConfig {
     pub lookahead: Nanos,
     /// When playout starts.
     pub startup: Startup,
-    /// Times that one lost packet may be sent again.
+    /// Times that one lost packet of the base may be sent again.
     pub retransmissions: u32,
-    /// Levels below this one are sent again; 1 = base only.
-    pub retransmit_levels: u8,
-    /// Whether canonical packets of every level are sent again too: motion of all windows stands on them.
-    pub retransmit_canonical: bool,
     /// Ack-eliciting datagrams per receipt, at least 1.
     pub ack_every: u32,
     /// Longest time that a receipt is held back.
@@ -138,8 +135,6 @@ impl Default for SessionConfig {
             lookahead: Nanos::from_s(4),
             startup: Startup { rule: StartupRule::BaseGroups(0.95), max_wait: Nanos::from_s(5) },
             retransmissions: 2,
-            retransmit_levels: 1,
-            retransmit_canonical: false,
             ack_every: 2,
             max_ack_delay: Nanos::from_ms(25),
             viewer: None,
@@ -201,8 +196,6 @@ impl SessionConfig {
             lookahead: self.lookahead,
             startup: self.startup,
             retransmissions: self.retransmissions,
-            retransmit_levels: self.retransmit_levels,
-            retransmit_canonical: self.retransmit_canonical,
         }
     }
 }

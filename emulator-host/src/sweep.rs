@@ -22,7 +22,7 @@ use crate::{
     trace::{Replay, TraceError},
 };
 
-pub use summary::{Comparison, Estimate, Summary, summary};
+pub use summary::{Comparison, Estimate, Outcomes, Summary};
 
 /// One way in which links and packets differ between blocks.
 #[derive(Clone, Debug, PartialEq)]

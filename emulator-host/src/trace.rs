@@ -29,6 +29,8 @@ pub use ucc::Direction;
 
 /// Bytes that one delivery opportunity moves (mahimahi's MTU).
 pub(crate) const OPPORTUNITY_BYTES: u32 = 1500;
+/// A byte in bits × 10⁻⁹, which a rate in bits/s moves in a time in ns.
+const MOVED_PER_BYTE: u128 = 8_000_000_000;
 /// Highest rate that a trace may state, bits/s.
 pub const MAX_RATE: Rate = Rate(1_000_000_000_000);
 /// Longest trace.
@@ -282,32 +284,31 @@ impl Trace {
 
     /// Mean capacity over a period.
     pub fn mean_rate(&self) -> Rate {
-        let scaled: u128 = match &self.shape {
-            Shape::Opportunities(at) => at.len() as u128 * u128::from(OPPORTUNITY_BYTES) * 8 * 1_000_000_000,
-            Shape::Steps(steps) => {
-                let ends = steps.iter().skip(1).map(|step| step.at).chain([self.period]);
-                steps.iter().zip(ends).map(|(s, end)| u128::from(s.rate.0) * u128::from((end - s.at).0)).sum()
-            }
-        };
-        Rate(u64::try_from(scaled / u128::from(self.period.0)).unwrap_or(u64::MAX))
+        Rate(u64::try_from(self.moved_within(self.period) / u128::from(self.period.0)).unwrap_or(u64::MAX))
     }
 
-    /// Bytes that may move from the start until `time`, the trace repeating. Saturates.
+    /// Whole bytes that may move from the start until `time`, the trace repeating. Rounded down once, however
+    /// many steps there are; saturates.
     pub fn bytes_until(&self, time: Nanos) -> Bytes {
         let (rounds, rest) = (time.0 / self.period.0, Nanos(time.0 % self.period.0));
-        let within = |end: Nanos| match &self.shape {
+        let whole = self.moved_within(self.period).saturating_mul(u128::from(rounds));
+        let moved = whole.saturating_add(self.moved_within(rest)) / MOVED_PER_BYTE;
+        Bytes(u64::try_from(moved).unwrap_or(u64::MAX))
+    }
+
+    /// What may move until `end`, which is not past the period, in bits × 10⁻⁹.
+    fn moved_within(&self, end: Nanos) -> u128 {
+        match &self.shape {
             Shape::Opportunities(at) => {
-                at.partition_point(|at| *at <= end) as u64 * u64::from(OPPORTUNITY_BYTES)
+                let count = at.partition_point(|at| *at <= end) as u128;
+                count * u128::from(OPPORTUNITY_BYTES) * MOVED_PER_BYTE
             }
             Shape::Steps(steps) => {
                 let ends = steps.iter().skip(1).map(|step| step.at).chain([self.period]);
                 let used = steps.iter().zip(ends).take_while(|(step, _)| step.at < end);
-                let bytes = used.map(|(step, until)| step.rate.bytes_in(until.min(end) - step.at).0);
-                bytes.fold(0, u64::saturating_add)
+                used.map(|(s, until)| u128::from(s.rate.0) * u128::from((until.min(end) - s.at).0)).sum()
             }
-        };
-        let whole = within(self.period + Nanos(1)).saturating_mul(rounds);
-        Bytes(whole.saturating_add(within(rest)))
+        }
     }
 
     /// The same trace with `numerator ÷ denominator` times the capacity: rates are multiplied, opportunities
@@ -442,6 +443,20 @@ mod tests {
         let fast = Trace::steps("t", fast, Nanos::from_s(1)).unwrap();
         assert_eq!(fast.bytes_until(Nanos::MAX), Bytes(u64::MAX));
         assert_eq!(fast.bytes_until(Nanos::from_s(3)), Bytes(375_000_000_000));
+    }
+
+    /// 20,000 steps of 1 ms, in each of which less than two bytes move.
+    #[test]
+    fn fine_steps_move_what_one_coarse_step_does() {
+        let rate = Rate(15_900);
+        let fine = (0..20_000).map(|at| Step { at: Nanos::from_ms(at), rate }).collect();
+        let fine = Trace::steps("t", fine, Nanos::from_s(20)).unwrap();
+        let coarse = Trace::steps("t", vec![Step { at: Nanos::ZERO, rate }], Nanos::from_s(20)).unwrap();
+        for time in [Nanos(0), Nanos(1_234_567), Nanos::from_s(7), Nanos::from_s(20), Nanos::from_s(1_000)] {
+            assert_eq!(fine.bytes_until(time), rate.bytes_in(time), "{time}");
+            assert_eq!(coarse.bytes_until(time), rate.bytes_in(time), "{time}");
+        }
+        assert_eq!((fine.mean_rate(), coarse.mean_rate()), (rate, rate));
     }
 
     #[test]

@@ -381,11 +381,12 @@ fn reports_serialise() {
 }
 
 #[test]
-fn a_full_session_takes_well_under_a_second() {
+fn a_session_of_twenty_thousand_packets_runs_to_its_end() {
     let graph = graph(Synthetic { rate: Rate::from_mbps(6), ..Synthetic::default() }, 1);
     assert!(graph.packets().len() > 18_000);
     let report = simulate(&graph, &down(bursty(1))).unwrap();
     assert!(report.sender.datagrams > 5000);
+    assert_eq!(report.frames.len(), graph.frames() as usize);
 }
 
 #[test]

@@ -7,7 +7,9 @@ use emulator_host::{
     clock::{Nanos, Rate},
     graph::{ClosureRule, Synthetic, Utilities},
     link::{Capacity, LossModel, PathConfig, QueueLimit},
-    policy::{DeadlineUtility, DeadlineUtilityConfig, PacketStatus, Scheduler, SenderView},
+    policy::{
+        DeadlineUtility, DeadlineUtilityConfig, PacketStatus, Scheduler, SenderRequirements, SenderView,
+    },
     run,
     session::{MediaSender, PathFacts, Startup, StartupRule},
     simulate,
@@ -263,10 +265,22 @@ impl Scheduler for Noted {
         "noted"
     }
 
+    fn service(&self) -> SenderRequirements {
+        self.inner.service()
+    }
+
     fn next(&mut self, view: &SenderView<'_>, now: Nanos) -> Option<PacketIndex> {
         let packet = self.inner.next(view, now);
         self.chosen.extend(packet);
         packet
+    }
+
+    fn wants_parity(&mut self, view: &SenderView<'_>, parity: PacketIndex, now: Nanos) -> bool {
+        self.inner.wants_parity(view, parity, now)
+    }
+
+    fn forecast(&self, view: &SenderView<'_>, packet: PacketIndex, now: Nanos) -> Option<(f64, u32)> {
+        self.inner.forecast(view, packet, now)
     }
 
     fn on_status(&mut self, graph: &PacketGraph, packet: PacketIndex, change: [PacketStatus; 2]) {

@@ -168,7 +168,14 @@ fn every_body_is_replayed_and_has_a_target_and_a_corpus() {
     let names: Vec<&str> = TARGETS.iter().map(|t| t.0).collect();
     assert_eq!(names, REPLAYED);
     let manifest = std::fs::read_to_string(root.join("Cargo.toml")).unwrap();
+    let results = std::fs::read_to_string(root.join("RESULTS.md")).unwrap();
+    let rows: Vec<&str> =
+        results.lines().filter_map(|line| line.strip_prefix("| ")?.split(" |").next()).collect();
+    let unmeasured = results.lines().skip_while(|line| !line.starts_with("Not measured: "));
+    let unmeasured: String = unmeasured.take_while(|line| !line.is_empty()).collect();
     for name in &names {
+        let (measured, not) = (rows.contains(name), unmeasured.contains(&format!("`{name}`")));
+        assert!(measured != not, "{name} in RESULTS.md: measured {measured}, said not to be {not}");
         assert!(manifest.contains(&format!("path = \"fuzz_targets/{name}.rs\"")), "{name} in Cargo.toml");
         let target = std::fs::read_to_string(root.join(format!("fuzz_targets/{name}.rs"))).unwrap();
         assert!(target.contains(&format!("fuzz::{name}(data)")), "{name}");

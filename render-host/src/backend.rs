@@ -19,7 +19,7 @@ pub use differentiator::Differentiator;
 pub use error::BackendError;
 
 use crate::{
-    Camera, Changes, Image, Rendered, SequenceRenderer, Settings, Splats,
+    Camera, Image, Rendered, SequenceRenderer, Settings, Splats,
     counterfactual::{States, Variants, render_worlds},
 };
 #[cfg(feature = "gpu")]
@@ -197,7 +197,7 @@ impl FrameRenderer {
         settings: &Settings,
     ) -> Result<&Rendered, BackendError> {
         match &mut self.0 {
-            Inner::Cpu(sequence) => Ok(sequence.render(splats, Changes::Unknown, camera, settings)?),
+            Inner::Cpu(sequence) => Ok(sequence.render(splats, camera, settings)?),
             #[cfg(feature = "gpu")]
             Inner::Gpu(on_gpu) => {
                 let OnGpu { renderer, scene, picture } = &mut **on_gpu;

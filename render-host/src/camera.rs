@@ -226,6 +226,9 @@ impl Camera {
         height: u32,
     ) -> Result<Self, CameraError> {
         let intrinsics = Intrinsics::from_fov_y(fov_y, width, height)?;
+        for (field, point) in [("eye", eye), ("target", target)] {
+            point.into_iter().try_for_each(|value| in_range(field, value, TRANSLATION))?;
+        }
         let forward = unit(sub(target, eye)).ok_or(CameraError::Direction("target - eye"))?;
         let up = unit(up).ok_or(CameraError::Direction("up"))?;
         let right = unit(cross(forward, up)).ok_or(CameraError::Direction(CameraError::ALONG_UP))?;

@@ -35,7 +35,8 @@ pub struct Counters {
     pub tiles_touched: u64,
     /// Entries in all tile lists.
     pub intersections: u64,
-    /// Entries there would be if every splat were listed in all tiles of its box.
+    /// Entries there would be if every splat that lists were made of were in those of all tiles of its box.
+    /// Where so many splats lie one behind the other that lists end early, those behind are left out.
     pub boxed: u64,
     /// Entries that came after all pixels of their tile were finished: never read.
     pub entries_unread: u64,

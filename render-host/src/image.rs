@@ -272,17 +272,6 @@ impl Image {
         })
     }
 
-    /// A copy of `width` × `height` in which every pixel is the source pixel under its centre.
-    ///
-    /// # Errors
-    /// A side out of range, or an empty image.
-    pub fn resized_nearest(&self, width: u32, height: u32) -> Result<Self, ImageError> {
-        self.resized(width, height, |from, to| {
-            let under = |i: u32| ((2 * u64::from(i) + 1) * u64::from(from) / (2 * u64::from(to))) as u32;
-            (0..to).map(|i| vec![(under(i), 1.0)]).collect()
-        })
-    }
-
     /// Columns, then rows, each a weighted sum of the source's: `taps(from, to)` lists source and weight.
     fn resized(
         &self,
@@ -415,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn the_box_filter_keeps_the_mean_and_nearest_picks_a_pixel() {
+    fn the_box_filter_keeps_the_mean() {
         let image = ramp(12, 9);
         let mean = |i: &Image| i.rgb().iter().sum::<f32>() / i.rgb().len() as f32;
         for (w, h) in [(4, 3), (5, 4), (1, 1), (12, 9), (24, 18)] {
@@ -424,8 +413,6 @@ mod tests {
             assert!((mean(&small) - mean(&image)).abs() < 1e-5, "{w} {h}");
         }
         assert_eq!(image.resized_box(12, 9).unwrap(), image);
-        let nearest = image.resized_nearest(4, 3).unwrap();
-        assert_eq!(nearest.pixel(1, 2), image.pixel(4, 7));
         assert!(Image::default().resized_box(1, 1).is_err());
     }
 }

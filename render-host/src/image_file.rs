@@ -310,9 +310,10 @@ mod tests {
         out.into_inner()
     }
 
-    /// The crate `image` is the twin: every kind of pixel in every format decodes to what it decodes to.
+    /// Every kind of pixel in every format becomes the red, green, blue and opacity that the crate `image`
+    /// makes of it. That reads files by the same crates: what is tested is what happens to pixels.
     #[test]
-    fn files_decode_as_the_crate_image_decodes_them() {
+    fn every_kind_of_pixel_becomes_what_the_crate_image_makes_of_it() {
         let p = picture();
         let kinds = [
             p.clone(),
@@ -346,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn png_bytes_are_those_of_the_crate_image() {
+    fn png_files_are_made_with_the_settings_of_the_crate_image() {
         let p = picture().to_rgb8();
         let twin = file(&DynamicImage::ImageRgb8(p.clone()), ImageFormat::Png);
         assert_eq!(png_of_rgb8(29, 13, p.as_raw()).unwrap(), twin);

@@ -52,7 +52,7 @@ pub use camera::{Camera, CameraError, Intrinsics, View};
 pub use counters::Counters;
 pub use image::{Image, ImageError};
 pub use render::{RenderError, Rendered, Renderer, render, render_many};
-pub use sequence::{Changes, ReuseCounts, ReuseOptions, SequenceRenderer};
+pub use sequence::{ReuseCounts, ReuseOptions, SequenceRenderer};
 pub use settings::{Settings, SettingsError};
 pub use splats::{Splats, SplatsError};
 

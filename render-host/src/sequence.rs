@@ -9,7 +9,6 @@
 //!
 //! Another camera, other settings, another number of Gaussians or another degree start from nothing.
 
-mod changes;
 mod inputs;
 mod lists;
 
@@ -32,7 +31,6 @@ use crate::{
         span::Spans,
     },
 };
-pub use changes::Changes;
 
 /// Tiles blended at a time, so that room stays bounded.
 const BATCH: usize = 1 << 14;
@@ -135,11 +133,6 @@ impl SequenceRenderer {
         &self.picture
     }
 
-    /// The last picture, taken out of the sequence, which then starts from nothing.
-    pub fn into_picture(self) -> Rendered {
-        self.picture
-    }
-
     /// With a bound on memory: pictures with more than `entries` entries in the boxes of all tile lists (4
     /// bytes each) keep their projection only. 2²⁶ unless set.
     #[must_use]
@@ -158,15 +151,13 @@ impl SequenceRenderer {
         self.view = None;
     }
 
-    /// Renders the next frame: `splats` as `camera` sees them, of which `changes` may differ from the frame
-    /// before.
+    /// Renders the next frame: `splats` as `camera` sees them.
     ///
     /// # Errors
     /// A setting out of range, or tiles of another side than the usual; the sequence is then as it was.
     pub fn render(
         &mut self,
         splats: &Splats,
-        changes: Changes<'_>,
         camera: &Camera,
         settings: &Settings,
     ) -> Result<&Rendered, RenderError> {
@@ -185,7 +176,7 @@ impl SequenceRenderer {
         }
         let keep = self.reuse.projection && !fresh;
         let projected = &mut self.renderer.projected;
-        let mut counters = self.inputs.update(splats, changes, camera, settings, fresh, keep, projected);
+        let mut counters = self.inputs.update(splats, camera, settings, fresh, keep, projected);
         self.reused.projected = self.inputs.projected();
         self.reused.projections_reused = splats.len() as u64 - self.reused.projected;
         self.reused.changed = if fresh { counters.drawn } else { self.inputs.changed() as u64 };

@@ -6,7 +6,7 @@ mod support;
 
 use codec_core::Gaussian;
 use render_host::{
-    Image, Renderer, Settings, Splats, Workspace,
+    Image, Renderer, SequenceRenderer, Settings, Splats, Workspace,
     adjoint::{SplatGradient, loss::Mse},
     counterfactual::{Engine, States, Variants, brute},
     render_and_gradients,
@@ -47,6 +47,13 @@ fn check_behind(walls: &[Gaussian]) {
         assert_eq!(part.counters.intersections, 28 * 1000);
         assert!(whole.counters.intersections < 28 * 1000, "{:?}", whole.counters);
         assert!(whole.image == part.image && whole.transmittance == part.transmittance);
+
+        // A sequence in which a frame without a crowd leaves its lists to one with it, and the other way.
+        let mut sequence = SequenceRenderer::default();
+        for (splats, expected) in [(&all, &whole), (&few, &part), (&all, &whole)] {
+            let shown = sequence.render(splats, &view, &settings).unwrap();
+            assert!(shown == expected);
+        }
 
         let gradients =
             |splats| render_and_gradients(&mut Workspace::new(), splats, &view, &settings, &loss).unwrap();

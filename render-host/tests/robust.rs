@@ -154,4 +154,5 @@ fn many_splats_over_the_whole_image_end_in_bounded_time() {
     let out = render(&scene.splats(), &camera(1024, 1024), &Settings::default()).unwrap();
     assert!(finite(&out));
     assert_eq!(out.counters.pixels_stopped, 1024 * 1024);
+    assert!(out.counters.intersections < 3000 * 4096 / 20, "{:?}", out.counters);
 }

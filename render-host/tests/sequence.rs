@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use codec_core::{Gaussian, ShDegree};
 use proptest::prelude::*;
-use render_host::{Camera, Changes, Rendered, ReuseOptions, SequenceRenderer, Settings, Splats, render};
+use render_host::{Camera, Rendered, ReuseOptions, SequenceRenderer, Settings, Splats, render};
 
 use support::{Scene, TestRng, camera};
 
@@ -58,19 +58,18 @@ const EDITS: [Edit; 11] = [
     Edit::Count,
 ];
 
-/// A scene, a view of it, and what changed last.
+/// A scene and a view of it.
 struct World {
     scene: Scene,
     camera: Camera,
     settings: Settings,
-    changed: Vec<Range<usize>>,
     r: TestRng,
 }
 
 impl World {
     fn new(n: usize, degree: u8, seed: u64, settings: Settings) -> Self {
         let scene = Scene::random(n, degree, 0.004, 0.1, seed);
-        Self { scene, camera: camera(120, 90), settings, changed: Vec::new(), r: TestRng(seed ^ 0xeda1) }
+        Self { scene, camera: camera(120, 90), settings, r: TestRng(seed ^ 0xeda1) }
     }
 
     /// A few neighbours, or many.
@@ -140,14 +139,13 @@ impl World {
                 *scene = Scene::random(n.min(2000), scene.degree.get(), 0.004, 0.1, u64::from(n as u32));
             }
         }
-        self.changed.push(some);
     }
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// The promise, for every choice of what is kept, with and without ranges from the caller.
+    /// The promise, for every choice of what is kept.
     #[test]
     fn a_sequence_is_its_frames(
         seed in any::<u64>(), n in 0usize..900, degree in 0u8..3, parallel in any::<bool>(),
@@ -155,18 +153,14 @@ proptest! {
     ) {
         let settings = Settings { parallel, ..Settings::over([0.1, 0.5, 0.2]) };
         let mut world = World::new(n, degree, seed, settings);
-        let (mut blind, mut informed) = (sequences(), sequences());
+        let mut sequences = sequences();
         let mut bounded = SequenceRenderer::default().keeping_at_most(n as u64);
         for edits in [Vec::new()].into_iter().chain(edits) {
-            world.changed.clear();
             edits.iter().for_each(|&edit| world.apply(edit));
             let expected = fresh(&world.scene, &world.camera, &world.settings);
             let (splats, view) = (world.scene.splats(), &world.camera);
-            let within = Changes::Within(&world.changed);
-            let informed = informed.iter_mut().map(|s| (s, within));
-            let cases = blind.iter_mut().map(|s| (s, Changes::Unknown)).chain(informed);
-            for (i, (sequence, changes)) in cases.chain([(&mut bounded, Changes::Unknown)]).enumerate() {
-                let got = sequence.render(&splats, changes, view, &world.settings).unwrap();
+            for (i, sequence) in sequences.iter_mut().chain([&mut bounded]).enumerate() {
+                let got = sequence.render(&splats, view, &world.settings).unwrap();
                 prop_assert_eq!(bits(got), bits(&expected), "sequence {} after {:?}", i, edits);
                 prop_assert_eq!(got, &expected, "sequence {} after {:?}", i, edits);
                 let r = sequence.reused();
@@ -183,7 +177,7 @@ fn what_stays_is_reused() {
     let mut sequence = SequenceRenderer::default();
     let mut show = |world: &World| {
         let (splats, camera) = (world.scene.splats(), &world.camera);
-        let got = sequence.render(&splats, Changes::Unknown, camera, &world.settings).unwrap();
+        let got = sequence.render(&splats, camera, &world.settings).unwrap();
         assert_eq!(bits(got), bits(&fresh(&world.scene, camera, &world.settings)));
         sequence.reused()
     };
@@ -226,7 +220,7 @@ fn long_lists_are_made() {
         if frame > 0 {
             world.scene.gaussians[40 * frame] = Gaussian::ABSENT;
         }
-        let got = sequence.render(&world.scene.splats(), Changes::Unknown, &world.camera, &world.settings);
+        let got = sequence.render(&world.scene.splats(), &world.camera, &world.settings);
         assert_eq!(got.unwrap(), &fresh(&world.scene, &world.camera, &world.settings));
         let reused = sequence.reused();
         assert_eq!((reused.lists_made, reused.lists_mended), (1, 0), "{reused:?}");
@@ -242,30 +236,11 @@ fn given_bands_are_looked_at() {
     for degree in [2, 0, 1, 1] {
         let bands = vec![degree; 400];
         let splats = world.scene.splats().with_bands(&bands).unwrap();
-        let got = sequence.render(&splats, Changes::Unknown, &world.camera, &world.settings).unwrap();
+        let got = sequence.render(&splats, &world.camera, &world.settings).unwrap();
         assert_eq!(got, &render(&splats, &world.camera, &world.settings).unwrap());
         before.push(bits(got));
     }
     assert!(before[0] != before[1] && before[1] != before[2] && before[2] == before[3]);
-}
-
-/// A caller that promises too much gets the frame before: the promise is taken, and the comparison of these
-/// tests would see it.
-#[test]
-fn a_broken_promise_shows() {
-    let mut world = World::new(500, 0, 9, Settings::default());
-    let mut sequence = SequenceRenderer::default();
-    let mut show = |world: &World, changes: Changes<'_>| {
-        bits(sequence.render(&world.scene.splats(), changes, &world.camera, &world.settings).unwrap())
-    };
-    let before = show(&world, Changes::Unknown);
-    world.scene.gaussians.iter_mut().for_each(|g| g.position[0] += 0.3);
-    let backwards = Range { start: 7, end: 3 };
-    assert_eq!(show(&world, Changes::Within(&[0..0, backwards, 900..1000])), before);
-    let expected = bits(&fresh(&world.scene, &world.camera, &world.settings));
-    assert_ne!(expected, before);
-    // Asked without a promise, it looks.
-    assert_eq!(show(&world, Changes::Unknown), expected);
 }
 
 #[test]
@@ -273,15 +248,15 @@ fn a_refused_frame_changes_nothing() {
     let world = World::new(300, 0, 2, Settings::default());
     let mut sequence = SequenceRenderer::default();
     let bad = Settings { alpha_max: 7.0, ..Settings::default() };
-    sequence.render(&world.scene.splats(), Changes::Unknown, &world.camera, &world.settings).unwrap();
+    sequence.render(&world.scene.splats(), &world.camera, &world.settings).unwrap();
     let before = sequence.picture().clone();
     let none = Splats::new(&[], &[], ShDegree::ZERO).unwrap();
-    assert!(sequence.render(&none, Changes::Unknown, &world.camera, &bad).is_err());
+    assert!(sequence.render(&none, &world.camera, &bad).is_err());
     assert_eq!(sequence.picture(), &before);
-    let got = sequence.render(&world.scene.splats(), Changes::Within(&[]), &world.camera, &world.settings);
+    let got = sequence.render(&world.scene.splats(), &world.camera, &world.settings);
     assert_eq!(got.unwrap(), &before);
     sequence.forget();
-    sequence.render(&world.scene.splats(), Changes::Within(&[]), &world.camera, &world.settings).unwrap();
+    sequence.render(&world.scene.splats(), &world.camera, &world.settings).unwrap();
     assert_eq!(sequence.reused().projected, 300);
-    assert_eq!(sequence.into_picture(), before);
+    assert_eq!(sequence.picture(), &before);
 }

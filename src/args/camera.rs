@@ -14,13 +14,13 @@ use super::number::{point, real, whole};
 #[derive(Clone, Debug, Default, Args)]
 pub struct CameraArgs {
     /// Cameras to look from: a Blender/NeRF transforms_*.json (times 0 to 1 choose frames), or COLMAP's
-    /// cameras and images (.bin or .txt): either file, or the folder with both; or Panoptic's train_meta.json
-    /// or test_meta.json. Lenses must be undistorted.
+    /// cameras and images (.bin or .txt): either file, the folder with both, or that of the dataset; or
+    /// Panoptic's train_meta.json or test_meta.json. Lenses must be undistorted.
     /// [default: the scene's own, else a ring around it that holds 98 % of the Gaussians]
     #[arg(long, value_name = "FILE")]
     pub cameras: Option<PathBuf>,
-    /// Which camera: its number from 0, or its name in the file of --cameras [default: 0, or all of
-    /// --cameras, or all of --turntable].
+    /// Which camera: its number from 0, or its name in the file of --cameras or the end of that, without the
+    /// ending, if no other has it [default: 0, or all of --cameras, or all of --turntable].
     #[arg(long, value_name = "NUMBER|NAME")]
     pub camera: Option<String>,
     /// One camera here, in scene units.

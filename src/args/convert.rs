@@ -22,7 +22,8 @@ pub struct Convert {
     /// Keep these frames: FIRST..LAST with LAST included, FIRST.., or one.
     #[arg(long, value_name = "FIRST..LAST")]
     pub frames: Option<FrameRange>,
-    /// Add the Gaussians of another scene, of as many frames or of one; may be given again.
+    /// Add the Gaussians of another scene, of as many frames or of one; may be given again. --up, --clip,
+    /// --footprint and --identity-stored are of the input alone.
     #[arg(long, value_name = "SCENE", value_parser = name())]
     pub merge: Vec<String>,
     /// Keep what is inside of this box at any frame; - leaves a side open.

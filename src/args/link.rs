@@ -32,7 +32,7 @@ pub struct LinkArgs {
     /// a trace, else half the capacity trace's own round trip, else 30].
     #[arg(long, value_parser = whole::<u64>(0..=60_000, "milliseconds"))]
     pub delay_ms: Option<u64>,
-    /// Share of time lost in Gilbert–Elliott bursts (mean burst four packets), 0 to 0.3 [default: 0 with
+    /// Share of datagrams lost in Gilbert–Elliott bursts (mean burst four packets), 0 to 0.3 [default: 0 with
     /// --trace, whose queue and own losses are enough, else 0.02].
     #[arg(long, value_parser = real(0.0..=0.3, "a share"), allow_negative_numbers = true)]
     pub burst_loss: Option<f64>,

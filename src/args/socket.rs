@@ -1,6 +1,9 @@
 //! Parses what serving and playing over sockets take.
 
-use std::{net::SocketAddr, path::PathBuf};
+use std::{
+    net::{IpAddr, SocketAddr},
+    path::PathBuf,
+};
 
 use clap::{Args, ValueEnum};
 use dgs_quic::{
@@ -40,7 +43,7 @@ pub struct Serve {
     /// With --moq, SHA-256 of the relay's certificate, 64 hexadecimal digits.
     #[arg(long, value_name = "SHA256", requires = "moq", conflicts_with = "ca")]
     pub pin: Option<Pin>,
-    /// With --moq, certificate authority of the relay (PEM).
+    /// With --moq, certificate authority of the relay (PEM), in place of any pin.
     #[arg(long, value_name = "FILE", requires = "moq")]
     pub ca: Option<PathBuf>,
     /// Address and UDP port to listen on; port 0 takes a free one.
@@ -56,10 +59,11 @@ pub struct Serve {
     /// else browsers show them to the page of this server alone.
     #[arg(long, value_name = "ORIGIN", conflicts_with = "no_http")]
     pub allow_origin: Option<Origin>,
-    /// Name or address that viewers use, for the URL and the certificate [default: the address listened on].
-    /// Browsers play the page over https or from localhost alone: for others put a server that has a
-    /// certificate in front of its port.
-    #[arg(long, value_name = "NAME")]
+    /// DNS name or IP address that viewers use, for the URL and the certificate; the port is that of --listen
+    /// [default: the address listened on]. Browsers play the page over https or from localhost alone: for
+    /// others put a server that has a certificate in front of its port; what comes through one counts as one
+    /// address (--max-viewers-per-address).
+    #[arg(long, value_name = "NAME", value_parser = host)]
     pub host: Option<String>,
     /// Certificate chain (PEM) [default: a new one, signed by itself; the URL has its pin].
     #[arg(long, value_name = "FILE", requires = "key")]
@@ -78,7 +82,7 @@ pub struct Serve {
     #[arg(long, default_value_t = 100, value_parser = whole::<usize>(1..=10_000, "viewers"))]
     pub max_viewers: usize,
     /// Viewers at once from one address (of IPv6 its first 64 bits), 1 to 10000: many who share a connection
-    /// share it, too.
+    /// share it, and so do all who come through a proxy in front of the page.
     #[arg(long, default_value_t = 32, value_parser = whole::<usize>(1..=10_000, "viewers"))]
     pub max_viewers_per_address: usize,
     /// Most media for each viewer, Mbit/s, above 0 [default: what the path takes].
@@ -112,6 +116,24 @@ pub struct Serve {
     pub codec: CodecArgs,
 }
 
+/// Parses a name or an address of a host, without brackets around one of IPv6.
+fn host(text: &str) -> Result<String, String> {
+    let inside = text.strip_prefix('[').and_then(|text| text.strip_suffix(']')).unwrap_or(text);
+    if let Ok(ip) = inside.parse::<IpAddr>() {
+        return Ok(ip.to_string());
+    }
+    let legal = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
+    let is_label = |label: &str| (1..=63).contains(&label.len()) && label.chars().all(legal);
+    let name = text.strip_suffix('.').unwrap_or(text);
+    let last = name.rsplit('.').next().unwrap_or_default();
+    // A name that ends in a number is read as an address.
+    let is_name = !last.chars().all(|c| c.is_ascii_digit());
+    if is_name && text.len() <= 253 && name.split('.').all(is_label) {
+        return Ok(text.to_owned());
+    }
+    Err("a DNS name or an IP address is allowed, without scheme or port: the port is that of --listen".into())
+}
+
 /// A congestion controller of a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ServerController {
@@ -135,7 +157,8 @@ pub struct Play {
     /// SHA-256 of the server's certificate, 64 hexadecimal digits.
     #[arg(long, value_name = "SHA256", conflicts_with = "ca")]
     pub pin: Option<Pin>,
-    /// Certificate authority of the server (PEM).
+    /// Certificate authority of the server (PEM), in place of any pin: leave out what is from # on in the
+    /// URL.
     #[arg(long, value_name = "FILE")]
     pub ca: Option<PathBuf>,
     /// Write the frames as they were shown, once playing is over: PNG in a folder, or .apng, .gif, .mp4 or
@@ -152,17 +175,18 @@ pub struct Play {
     /// however that ends. `report.shown` of --json has the same rows, the newest of them.
     #[arg(long, value_name = "FILE")]
     pub log: Option<PathBuf>,
-    /// The file that is served: what was shown is compared with its complete frames (PSNR).
+    /// The file that is served, no other: what was shown is compared with its complete frames (PSNR).
     #[arg(long, value_name = "FILE.dgs")]
     pub reference: Option<PathBuf>,
-    /// Begin at the window of this time, at least 0 seconds.
+    /// Begin at the window of this time, at least 0 seconds. A stream that grows (`dgs serve -`) begins at
+    /// its newest window instead; from a relay a clip is played from where it is now.
     #[arg(
         long, value_name = "SECONDS", default_value_t = 0.0, value_parser = not_negative,
         allow_negative_numbers = true
     )]
     pub seek: f64,
     /// Receive media in streams of QUIC in place of datagrams from the start; otherwise that begins once none
-    /// have come for a second.
+    /// have come for a second. From a relay it always comes so.
     #[arg(long)]
     pub streams: bool,
     /// Ask the server for another scheduler in this session [default: its own].
@@ -172,10 +196,10 @@ pub struct Play {
     /// delay=40ms, seed=1; delay to 1000ms, rate to 1000mbit. What the server grants, the report says.
     #[arg(long, value_name = "LINK")]
     pub impair: Option<String>,
-    /// Begin again when the clip is over.
+    /// Begin again when the clip is over; a stream that grows has no beginning to go back to.
     #[arg(long = "loop")]
     pub repeat: bool,
-    /// Stop after so many seconds, above 0.
+    /// Stop after so many seconds, above 0; that nothing has come by then is an error.
     #[arg(long, value_name = "SECONDS", value_parser = positive, allow_negative_numbers = true)]
     pub duration: Option<f64>,
     /// Which way is up in the pictures [default: as the stream says].
@@ -187,4 +211,49 @@ pub struct Play {
     /// How large.
     #[command(flatten)]
     pub view: ViewArgs,
+}
+
+#[cfg(test)]
+mod tests {
+    use dgs_quic::socket::{Scheme, message::StreamChoice};
+
+    use super::*;
+
+    /// Whatever is taken makes a URL that players take.
+    #[test]
+    fn a_host_is_a_name_or_an_address_alone() {
+        for (text, taken) in [
+            ("example.org", "example.org"),
+            ("a-b.Example.org.", "a-b.Example.org."),
+            ("localhost", "localhost"),
+            ("192.168.1.2", "192.168.1.2"),
+            ("::1", "::1"),
+            ("[2001:db8::1]", "2001:db8::1"),
+        ] {
+            let host = host(text).unwrap();
+            assert_eq!(host, taken);
+            let (port, stream) = (DEFAULT_PORT, StreamChoice::Index(0));
+            let url = Locator { scheme: Scheme::Dgs, host, port, stream, pin: None };
+            assert_eq!(url.to_string().parse::<Locator>().unwrap(), url, "{text}");
+        }
+        let long = format!("{}.org", "a".repeat(64));
+        for text in [
+            "example.org:4640",
+            "https://example.org",
+            "exa mple",
+            "",
+            ".",
+            "a..b",
+            "[example.org]",
+            "[::1]:1",
+            "::1%eth0",
+            "300.1.1.1",
+            "1.2",
+            "exämple.org",
+            "example.org/a",
+            &long,
+        ] {
+            assert!(host(text).unwrap_err().contains("that of --listen"), "{text}");
+        }
+    }
 }

@@ -11,6 +11,13 @@ use super::{
     scene::SceneArgs,
 };
 
+/// Loss of PSNR by encoding where nothing is said, dB.
+pub(crate) const ENCODING_LOSS: f64 = 0.1;
+/// Times that quality is measured where nothing is said.
+pub(crate) const EVALUATIONS: u32 = 10;
+/// What a new epoch must gain where nothing is said, dB.
+pub(crate) const SPLIT: f64 = 0.5;
+
 /// `dgs train`.
 ///
 /// Writes into the folder of --out: scene.dgs (the encoded scene), checkpoint.dgst (to resume, and a scene
@@ -32,7 +39,8 @@ pub struct Train {
     /// [default: 15000, or what is left of the training that is resumed]
     #[arg(long, value_parser = whole::<u32>(1..=10_000_000, "steps"))]
     pub steps: Option<u32>,
-    /// Train for so many minutes instead of steps: 0.01 to 100000.
+    /// Train for so many minutes instead of steps: 0.01 to 100000. They are those of the whole training; one
+    /// that is resumed half way takes half of them.
     #[arg(
         long, conflicts_with = "steps", value_parser = real(0.01..=100_000.0, "minutes"),
         allow_negative_numbers = true
@@ -45,7 +53,7 @@ pub struct Train {
     /// fine-tuned: `dgs train DATASET -o DIR --resume --delivery mixed`.
     #[arg(long)]
     pub resume: bool,
-    /// Replace the training in --out: what it has written is removed.
+    /// Replace the training in --out, and files called as those that it writes: they are removed.
     #[arg(long, conflicts_with = "resume")]
     pub overwrite: bool,
     /// Options of the training as JSON: any of those that report.html lists. What is typed besides wins.
@@ -91,7 +99,7 @@ pub struct Train {
     #[arg(long, default_value_t = 2000, value_parser = whole::<u32>(1..=10_000_000, "steps"))]
     pub checkpoint_every: u32,
     /// Times that quality is measured during training: 0 to 1000.
-    #[arg(long, default_value_t = 10, value_parser = whole::<u32>(0..=1000, "times"))]
+    #[arg(long, default_value_t = EVALUATIONS, value_parser = whole::<u32>(0..=1000, "times"))]
     pub evaluations: u32,
     /// Fine-tune for what delivery leaves: reconstruction, iid, burst-cvar, mixed, or a JSON file of options.
     /// A dataset is trained first; a scene is taken as it is and compared with its own renders. Pixels that
@@ -115,7 +123,7 @@ pub struct Train {
     /// those of motion alone. --target-bytes N ends between 98 % and all of N where something moves. Other
     /// typed sizes or steps leave rounding to the encoder, and --delivery has steps of its own.
     #[arg(
-        long, value_name = "DB", default_value_t = 0.1, value_parser = real(0.001..=100.0, "dB"),
+        long, value_name = "DB", default_value_t = ENCODING_LOSS, value_parser = real(0.001..=100.0, "dB"),
         conflicts_with = "fineness", allow_negative_numbers = true
     )]
     pub encoding_loss: f64,
@@ -141,7 +149,7 @@ pub struct Train {
     /// Where the renders of a scene change at once, begin a new epoch, trained by itself, if that gains so
     /// many dB in a trial at as many Gaussians and steps in all; 0: never. Not tried with --frames.
     #[arg(
-        long, value_name = "DB", default_value_t = 0.5, value_parser = real(0.0..=100.0, "dB"),
+        long, value_name = "DB", default_value_t = SPLIT, value_parser = real(0.0..=100.0, "dB"),
         allow_negative_numbers = true
     )]
     pub split: f64,

@@ -1,6 +1,7 @@
 //! Compares two scenes, streams or sets of pictures, by pictures and by Gaussians: `dgs compare`.
 
 mod attributes;
+mod named;
 mod pairs;
 mod side;
 
@@ -113,8 +114,8 @@ pub fn run(args: &Compare, quiet: Quiet) -> Result<VerbOutput> {
     let unseen = (!unseen.is_empty()).then(|| not_counted(&unseen, rows.len())).transpose()?;
     let summaries = summaries(&rows);
     let background = args.view.background;
-    let notes: Vec<&String> =
-        [&a, &b].into_iter().flat_map(notes).chain(&turned).chain(&doubts).chain(&unseen).collect();
+    let of_sides = [(&a, &args.a), (&b, &args.b)].map(|(side, input)| notes(side, input)).concat();
+    let notes: Vec<&String> = of_sides.iter().chain(&turned).chain(&doubts).chain(&unseen).collect();
     let mut text = format!(
         "{} against {}: {}, {cameras}, background {background:?}\n",
         args.a,
@@ -174,10 +175,11 @@ fn lpips(path: &Path) -> Result<Lpips> {
     Lpips::from_safetensors(&bytes).with_context(failed)
 }
 
-fn notes(side: &Side) -> &[String] {
+/// What a person should know of `side`, each with the name of the `input` that it is of.
+fn notes(side: &Side, input: &str) -> Vec<String> {
     match side {
-        Side::Frames(frames) => frames.notes(),
-        Side::Pictures(_) => &[],
+        Side::Frames(frames) => frames.notes().iter().map(|note| pipeline::note_of(input, note)).collect(),
+        Side::Pictures(_) => Vec::new(),
     }
 }
 

@@ -14,13 +14,13 @@ use trainer_host::{
     stream::decoded,
 };
 
-use self::format::{FrameRun, SceneOutput};
+use self::format::{FrameRun, FrameToWrite, SceneOutput};
 use crate::{
     args::{Convert, SceneArgs},
     figures::counted,
     files,
     output::VerbOutput,
-    pipeline::{Frames, LeftOut, Quiet},
+    pipeline::{Frames, LeftOut, Quiet, note_of},
     progress::Progress,
 };
 
@@ -48,7 +48,8 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
         let found = scene.locate(if alone_of.is_some() { 0 } else { number as usize });
         let last = count - 1;
         let (epoch, t) = found.with_context(|| format!("--frame is {number}; 0 to {last} are allowed"))?;
-        Ok((&scene.epochs()[epoch], t))
+        let epoch = &scene.epochs()[epoch];
+        Ok(FrameToWrite { epoch, t, has_rows_of_last: t > 0 })
     };
     let wrote = match output {
         SceneOutput::FourDgs => format::write_clip(&scene, &args.out)?,
@@ -60,7 +61,6 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
                 count,
                 footprint,
                 frames_per_second: scene.frames_per_second(),
-                identity_stored: scene.epochs().len() == 1,
             };
             output.write(&args.out, run, &progress, frame)?
         }
@@ -114,7 +114,11 @@ fn read(
         Frames::Scene(scene) => return Ok((*scene, None)),
         stream @ Frames::Stream { .. } => stream,
     };
-    let mut epochs = Vec::new();
+    let starts = match &frames {
+        Frames::Scene(_) => Vec::new(),
+        Frames::Stream { received, .. } => decoded::epoch_starts(received.content().manifest),
+    };
+    let mut shown = Vec::new();
     let mut left_out = LeftOut::default();
     // One that is not there is refused by its number later.
     let only = only.filter(|only| *only < frames.count());
@@ -122,11 +126,12 @@ fn read(
     for frame in decoded.clone() {
         progress.step("decoding", (frame - decoded.start) as usize, decoded.len());
         let instant = frames.instant(frame)?;
-        let (epoch, missing) = decoded::snapshot(&instant)?;
-        left_out.add(missing, instant.gaussians.len());
-        epochs.push(epoch);
+        let snapshot = decoded::snapshot(&instant)?;
+        let count = instant.gaussians.len();
+        left_out.add(count - snapshot.rows.len(), count);
+        shown.push(snapshot);
     }
-    let mut scene = decoded::joined(epochs, frames.frames_per_second())?;
+    let mut scene = decoded::joined(shown, &starts, frames.frames_per_second())?;
     scene.up = frames.up();
     scene.footprint = frames.footprint();
     scene.notes = frames.notes().to_vec();
@@ -145,9 +150,16 @@ fn edited(
         let range = range.within(scene.frames() as u32)?;
         scene = edit::frames(&scene, range.start as usize, range.end as usize - 1)?;
     }
+    if !args.merge.is_empty() {
+        scene.notes.iter_mut().for_each(|note| *note = note_of(&args.input, note));
+    }
+    // What these say of the input is not so of other files.
+    let as_written =
+        SceneArgs { up: None, clip: None, footprint: None, identity_stored: false, ..args.scene.clone() };
     for other in &args.merge {
-        let (other_scene, _) =
-            read(other, &args.scene, None, progress, &mut |w| warnings.push(w)).context("--merge")?;
+        let (mut other_scene, _) =
+            read(other, &as_written, None, progress, &mut |w| warnings.push(w)).context("--merge")?;
+        other_scene.notes.iter_mut().for_each(|note| *note = note_of(other, note));
         let turn = turn_between(other_scene.up, scene.up);
         let other_scene =
             edit::transform(&other_scene, &Similarity { rotation: turn, ..Similarity::default() })?;

@@ -8,9 +8,9 @@ use codec_core::{
     internals::{digest::Digest, ids::Level},
 };
 use serde_json::json;
-use trainer_host::stream::decoded;
+use trainer_host::stream::decoded::{self, Snapshot};
 
-use super::convert::format::{FrameRun, SceneOutput};
+use super::convert::format::{FrameRun, FrameToWrite, SceneOutput};
 use crate::{
     args::Decode,
     files,
@@ -55,7 +55,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
         counters.recovered
     );
     let degree = stream.manifest()?.sh_degree();
-    let epochs = stream.manifest()?.epochs().count();
+    let starts = decoded::epoch_starts(&stream.manifest()?);
     let mut frames = Frames::of_stream(received, Level::from_bits(args.level), None);
     let mut json = json!({
         "file": files::shown(&args.input), "out": args.out.as_deref().map(files::shown),
@@ -79,13 +79,23 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
             count: frames.count(),
             footprint: frames.footprint(),
             frames_per_second: frames.frames_per_second(),
-            identity_stored: epochs == 1,
         };
-        text += &output.write(out, run, &progress, |frame| {
+        let mut last: Option<Snapshot> = None;
+        let written = output.write(out, run, &progress, |frame| {
             let instant = frames.instant(frame)?;
-            let (epoch, missing) = decoded::snapshot(&instant)?;
-            left_out.add(missing, instant.gaussians.len());
-            Ok((epoch, 0))
+            let shown = decoded::snapshot(&instant)?;
+            let count = instant.gaussians.len();
+            left_out.add(count - shown.rows.len(), count);
+            let is_first = starts.binary_search(&frame).is_ok();
+            let has_rows_of_last = !is_first && last.as_ref().is_some_and(|last| last.is_followed_by(&shown));
+            let epoch = shown.epoch.clone();
+            last = Some(shown);
+            Ok(FrameToWrite { epoch, t: 0, has_rows_of_last })
+        });
+        // What was damaged may be why nothing can be written.
+        text += &written.map_err(|error| match warnings.join("; ") {
+            damage if damage.is_empty() => error,
+            damage => error.context(format!("{}: {damage}", args.input.display())),
         })?;
         text += &format!("  axes are the stream's, with {} up: dgs convert turns them\n", frames.up());
         let said = left_out.sentence(&frames);

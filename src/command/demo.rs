@@ -1,9 +1,11 @@
 //! Runs the whole pipeline under four schedulers and writes one page: `dgs demo`.
 
-use anyhow::{Context, Result};
+mod pictures;
+
+use anyhow::{Context, Result, bail};
 use emulator_host::PolicyKind;
 use rayon::prelude::*;
-use render_host::{Backend, Image, metric};
+use render_host::Backend;
 use serde_json::json;
 use trainer_host::{
     Scene, Stream,
@@ -14,6 +16,8 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
+use self::pictures::{Measured, Rendering};
+
 use crate::{
     args::{Demo, TransportName},
     figures::{Machine, frozen, mean},
@@ -21,7 +25,7 @@ use crate::{
     output::VerbOutput,
     pipeline::{self, Loaded, Quiet},
     progress::Progress,
-    report::{Page, Picture, SchedulerRun, Shown, Strip, html},
+    report::{Page, SchedulerRun, Shown, html},
 };
 
 /// The built-in scene.
@@ -31,18 +35,16 @@ const POLICIES: [PolicyKind; 4] =
     [PolicyKind::Layered, PolicyKind::Dash, PolicyKind::Dependency, PolicyKind::DeadlineUtility];
 /// Where utilities are kept, in the folder of the report.
 const UTILITIES: &str = "utility.json";
-/// Frames shown in strips.
-const STRIPS: usize = 4;
-/// Error maps reach full scale at this absolute error.
-const ERROR_SCALE: f32 = 0.25;
 
 /// Runs the verb.
 pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
-    let [report, figures] = ["report.html", "report.json"].map(|name| args.out.join(name));
+    let written = ["report.html", "report.json", UTILITIES].map(|name| args.out.join(name));
+    if let Some(file) = written.iter().find(|file| !args.overwrite && file.exists()) {
+        bail!("{}: is there already; name another folder, or --overwrite", file.display());
+    }
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot make", args.out.display()))?;
-    files::check(&report)?;
-    files::check(&figures)?;
-    files::check(&args.out.join(UTILITIES))?;
+    written.iter().try_for_each(|file| files::check(file))?;
+    let [report, figures, _] = written;
     let page = page(args, quiet)?;
     files::write(&report, html::page(&page).as_bytes())?;
     let json = serde_json::to_value(&page)?;
@@ -125,62 +127,25 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
 
     let progress = Progress::new("render", quiet.0);
     let (cameras, settings) = pipeline::view(&scene, &args.view, Ring::HeldOut, 3)?;
-    let camera = &cameras[0];
-    let frames: Vec<u32> = (0..scene.frames() as u32).collect();
-    let references = evaluator::references(&scene, &frames, camera, &settings, &backend)?;
-    let complete: Vec<(u32, Option<&[u8]>)> = frames.iter().map(|&f| (f, Some(content.blocks))).collect();
-    let complete = evaluator::renders(&content, &complete, camera, &settings, &backend)?;
-    let complete_psnr_db = psnrs(&complete, &references)?;
-    let picked = strip_frames(frames.len());
-    let mut strips: Vec<Strip> = picked
-        .iter()
-        .map(|&frame| {
-            Ok(Strip {
-                frame,
-                reference: Picture {
-                    caption: "source".into(),
-                    image: small(&references[frame as usize])?,
-                    error: None,
-                    psnr_db: None,
-                },
-                shown: Vec::new(),
-            })
-        })
-        .collect::<Result<_>>()?;
-    drop(complete);
+    let rendering = Rendering { scene: &scene, content: &content, camera: &cameras[0], settings, backend };
+    let frames = scene.frames();
+    let shown: Vec<_> =
+        deliveries.iter().map(|(report, states)| (report.policy.as_str(), &states[..])).collect();
+    let report = |done: usize| progress.at(done as f64 / frames as f64);
+    let Measured { complete_psnr_db, runs: seen, strips } = rendering.measure(&shown, &report)?;
 
     let mut runs = Vec::new();
-    for (i, (report, states)) in deliveries.into_iter().enumerate() {
-        progress.at((i + 1) as f64 / (POLICIES.len() + 1) as f64);
-        let mut shown: Vec<(u32, Option<&[u8]>)> = frames.iter().map(|&f| (f, None)).collect();
-        for state in &states {
-            shown[state.frame as usize].1 = Some(&state.state);
-        }
-        let images = evaluator::renders(&content, &shown, camera, &settings, &backend)?;
-        let scores: Result<Vec<_>, _> =
-            images.par_iter().zip(&references).map(|(a, b)| evaluator::score(a, b)).collect();
-        let scores = scores?;
+    for (i, ((report, _), seen)) in deliveries.into_iter().zip(seen).enumerate() {
         let times: std::collections::BTreeMap<u32, f64> =
             report.frames.iter().map(|row| (row.frame, row.time_ns.as_s())).collect();
-        let rows: Vec<Shown> = frames
-            .iter()
-            .zip(&scores)
-            .map(|(&frame, score)| Shown {
-                time_s: times.get(&frame).copied(),
-                frame,
-                psnr_db: score.psnr_db,
-                ssim: score.ssim,
-            })
-            .collect();
-        for strip in &mut strips {
-            let at = strip.frame as usize;
-            strip.shown.push(Picture {
-                caption: report.policy.clone(),
-                image: small(&images[at])?,
-                error: Some(metric::heat(&small(&images[at])?, &small(&references[at])?, ERROR_SCALE)?),
-                psnr_db: Some(scores[at].psnr_db),
-            });
-        }
+        let scores = &seen.scores;
+        let row = |(frame, score): (u32, &evaluator::Score)| Shown {
+            time_s: times.get(&frame).copied(),
+            frame,
+            psnr_db: score.psnr_db,
+            ssim: score.ssim,
+        };
+        let rows: Vec<Shown> = (0..).zip(scores).map(row).collect();
         let freezes = pipeline::freezes(&report, &graph);
         let psnr: Vec<f64> = scores.iter().map(|s| s.psnr_db).collect();
         let ssim: Vec<f64> = scores.iter().map(|s| s.ssim).collect();
@@ -189,7 +154,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
             mean_psnr_db: mean(&psnr),
             tail_psnr_db: evaluator::worst_tenth(&psnr),
             mean_ssim: mean(&ssim),
-            flicker: metric::flicker(&images, &references)?,
+            flicker: seen.flicker(),
             frames: rows,
             limit: link.limit(&report, &graph),
             utility_bound: bounds[i],
@@ -204,7 +169,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let capacity = pipeline::capacity_bins(trace, width, (end_s * 10.0).ceil().max(1.0) as usize);
     notes.extend(link.warnings.iter().cloned());
     let mut protocol = protocol(args, &name, &scene, &stream, &ledger, &link, &table)?;
-    protocol.push(("pictures".to_owned(), format!("rendered by {}", backend.name())));
+    protocol.push(("pictures".to_owned(), format!("rendered by {}", rendering.backend.name())));
     Ok(Page {
         title: format!("{name} over {}", trace.name()),
         machine: Machine::this(),
@@ -260,23 +225,4 @@ fn protocol(
         ("seeds", format!("scene {}, link {}", args.source.seed(), args.link.link_seed)),
     ];
     Ok(pairs.map(|(what, value)| (what.to_owned(), value)).into())
-}
-
-fn psnrs(images: &[Image], references: &[Image]) -> Result<Vec<f64>> {
-    images.par_iter().zip(references).map(|(a, b)| Ok(metric::psnr(a, b)?.min(PSNR_CAP_DB))).collect()
-}
-
-/// Frames spread over the clip, the first and last left out where there are enough.
-fn strip_frames(frames: usize) -> Vec<u32> {
-    let count = STRIPS.min(frames);
-    (0..count).map(|i| ((2 * i + 1) * frames / (2 * count)) as u32).collect()
-}
-
-/// At most 256 pixels wide, for the page.
-fn small(image: &Image) -> Result<Image> {
-    if image.width() <= 256 {
-        return Ok(image.clone());
-    }
-    let height = (u64::from(image.height()) * 256 / u64::from(image.width())).max(1) as u32;
-    Ok(image.resized_box(256, height)?)
 }

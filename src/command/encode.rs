@@ -95,7 +95,11 @@ fn check_outputs(args: &Encode) -> Result<()> {
         if files::is_standard_output(&args.out) {
             bail!("--utility: is written beside the stream, and nothing is beside standard output");
         }
-        files::check(&pipeline::utility_path(&args.out))?;
+        let utilities = pipeline::utility_path(&args.out);
+        files::check(&utilities)?;
+        let mut others = others.clone();
+        others.extend(args.decisions_out.as_deref());
+        files::check_apart(&utilities, &others)?;
     }
     if args.truncate.is_some() && args.codec.profile != ProfileName::Dgs1 {
         bail!("--truncate: profile paper sends every level; profile dgs1 is allowed");
@@ -260,8 +264,12 @@ fn check_decisions(decisions: &Decisions, scene: &Scene) -> Result<()> {
     }
     for (i, (epoch, decided)) in scene.epochs().iter().zip(&decisions.epochs).enumerate() {
         let found = epoch.count();
-        let wanted: usize = decided.clusters.iter().map(|cluster| cluster.gaussians.len()).sum();
-        if found != wanted {
+        // What is never drawn is in no cluster: where the file does not say how many there were, any number
+        // of such may be there.
+        let in_clusters: usize = decided.clusters.iter().map(|cluster| cluster.gaussians.len()).sum();
+        let recorded = decisions.made_from.epoch_gaussians.get(i).copied();
+        let wanted = recorded.unwrap_or(in_clusters);
+        if found < wanted || recorded.is_some_and(|recorded| found != recorded) {
             let of = if scene.epochs().len() > 1 { format!(" in epoch {i}") } else { String::new() };
             bail!("the scene has {}{of}; the decisions are for {wanted}", counted(found, "Gaussian"));
         }

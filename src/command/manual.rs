@@ -1,7 +1,7 @@
 //! Writes what shells and `man` read: `dgs completions` and `dgs man`.
 
 use anyhow::{Context, Result};
-use clap::CommandFactory as _;
+use clap::{Command, CommandFactory as _};
 use serde_json::json;
 
 use crate::{
@@ -19,16 +19,16 @@ pub fn completions(args: &Completions) -> Result<VerbOutput> {
     Ok(VerbOutput { text, json, ..VerbOutput::default() })
 }
 
-/// Writes a page for the program and one for every verb.
+/// Writes a page for the program and one for every verb, and for what verbs have of their own.
 pub fn pages(args: &Man) -> Result<VerbOutput> {
     let mut root = Cli::command().disable_help_subcommand(true);
     root.build();
+    let mut pages = Vec::new();
+    add_pages("dgs", &root, &mut pages);
     let mut written = Vec::new();
-    let verbs = root.get_subcommands().map(|verb| (format!("dgs-{}", verb.get_name()), verb.clone()));
-    let pages: Vec<_> = std::iter::once(("dgs".to_owned(), root.clone())).chain(verbs).collect();
     for (name, command) in pages {
         let mut page = Vec::new();
-        let command = command.version(env!("CARGO_PKG_VERSION"));
+        let command = command.clone().version(env!("CARGO_PKG_VERSION"));
         clap_mangen::Man::new(command)
             .title(&name)
             .render(&mut page)
@@ -39,4 +39,12 @@ pub fn pages(args: &Man) -> Result<VerbOutput> {
     }
     let text = format!("wrote {} pages to {}\n", written.len(), args.out.display());
     Ok(VerbOutput { text, json: json!({ "pages": written }), ..VerbOutput::default() })
+}
+
+/// Adds `command`, whose page is called `name`, and all that are below it.
+fn add_pages<'c>(name: &str, command: &'c Command, pages: &mut Vec<(String, &'c Command)>) {
+    pages.push((name.to_owned(), command));
+    for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
+        add_pages(&format!("{name}-{}", below.get_name()), below, pages);
+    }
 }

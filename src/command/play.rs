@@ -8,7 +8,9 @@ use codec_core::{
     internals::{ids::Level, wire::receipt::ViewerPose},
 };
 use dgs_player::StreamInfo;
-use dgs_quic::socket::{ClientConfig, Conditions, FrameShown, FrameSink, Granted, PlayReport, Scheme, play};
+use dgs_quic::socket::{
+    ClientConfig, Conditions, FrameShown, FrameSink, Granted, PlayError, PlayReport, Scheme, play,
+};
 use render_host::metric;
 use serde::Serialize;
 use serde_json::json;
@@ -18,6 +20,7 @@ use trainer_host::{
 };
 
 use super::{
+    interruption::leave,
     relay,
     socket::{interruption, runtime, trust},
 };
@@ -41,8 +44,8 @@ struct States<'a> {
     /// The viewer that is typed, once the manifest is there, and the frame that it sees next.
     watching: Option<Result<Watching>>,
     next: u32,
-    /// Frames of the file that what is shown is compared with.
-    wanted: Option<u32>,
+    /// The stream that what is shown is compared with.
+    reference: Option<&'a Stream>,
     log: Option<LineLog>,
 }
 
@@ -51,7 +54,7 @@ impl FrameSink for States<'_> {
         if self.watching.is_some() {
             return;
         }
-        self.watching = match self.wanted.map_or(Ok(()), |wanted| check_frames(wanted, message)) {
+        self.watching = match self.reference.map_or(Ok(()), |reference| check(reference, message)) {
             Err(error) => Some(Err(error)),
             Ok(()) => self.args.cameras.is_given().then(|| watching(self.args, message)),
         };
@@ -86,13 +89,17 @@ impl FrameSink for States<'_> {
     }
 }
 
-/// Refuses a stream that has not as many frames as the file that it is compared with.
-fn check_frames(wanted: u32, manifest: &[u8]) -> Result<()> {
-    let found = dgs_player::Player::new(manifest, &Caps::HOST)?.info().frames;
+/// Refuses a manifest that is not the one of the file that what is shown is compared with.
+fn check(reference: &Stream, message: &[u8]) -> Result<()> {
+    if reference.message() == message {
+        return Ok(());
+    }
+    let wanted = reference.manifest()?.head().frames;
+    let found = dgs_player::Player::new(message, &Caps::HOST)?.info().frames;
     if wanted != found {
         bail!("--reference has {wanted} frames; the stream that is served has {found}");
     }
-    Ok(())
+    bail!("--reference has {wanted} frames, as the stream that is served has, but is another stream")
 }
 
 /// The viewer that is typed, before a stream of which the manifest alone is there: its proxies say where the
@@ -118,6 +125,7 @@ struct Quality {
 /// Runs the verb.
 pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
     let trust = trust(&args.url, args.pin, args.ca.as_ref())?;
+    check_relay(args)?;
     let conditions = conditions(args)?;
     let output = args.out.as_deref().map(|out| output(args, out)).transpose()?;
     let mut warnings = Vec::new();
@@ -130,29 +138,38 @@ pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
         loops: args.repeat,
         streams: args.streams,
         conditions,
-        duration: args.duration.map(Duration::from_secs_f64),
+        duration: args.duration.map(duration),
         ..ClientConfig::new(args.url.clone(), trust)
     };
     let log = args.log.as_deref().map(LineLog::open).transpose()?;
     let draws = args.out.is_some() || reference.is_some();
     let (shown, newest) = (BTreeMap::new(), Arc::default());
-    let wanted = reference.as_ref().map(Stream::receive).transpose()?.map(|whole| whole.info().frames);
-    let mut states = States { args, draws, shown, newest, watching: None, next: 0, wanted, log };
+    let whole = reference.as_ref();
+    let mut states = States { args, draws, shown, newest, watching: None, next: 0, reference: whole, log };
     let played = runtime()?.block_on(async {
         match args.url.scheme {
             Scheme::Moq => relay::play(&config, &mut states, interruption()).await,
             Scheme::Dgs | Scheme::Https => play(&config, &mut states, interruption()).await,
         }
     });
+    if played.error.is_none() && played.player.is_none() {
+        // A person has interrupted it before anything came.
+        leave();
+    }
     let watching = states.watching.take().transpose()?;
     if let Some(error) = played.error {
         if played.report.shown_count == 0 {
-            return Err(error).with_context(|| args.url.to_string());
+            let is_up = matches!(error, PlayError::TimeUp { .. });
+            let error = anyhow::Error::new(error);
+            let error = if is_up { error.context("--duration is over") } else { error };
+            return Err(error.context(args.url.to_string()));
         }
         warnings.push(format!("{}: {error}; what was shown counts", args.url));
     }
     warnings.extend(ungranted(args, played.report.granted));
-    warnings.extend(played.player.as_ref().and_then(|player| past_the_end(args, &player.info())));
+    let grows = played.report.grows;
+    let clip = played.player.as_ref().filter(|_| !grows).map(dgs_player::Player::info);
+    warnings.extend(clip.and_then(|info| past_the_end(args, &info)));
     let rounded = output
         .zip(played.player.as_ref())
         .and_then(|(output, player)| output.rounded_rate(player.manifest().frames_per_second()));
@@ -164,25 +181,59 @@ pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
         _ => None,
     };
     let mut text = summary(args, &played.report, quality.as_ref());
-    if let Some(note) = &rounded {
+    let growing = if grows { unused_where_it_grows(args) } else { None };
+    let notes: Vec<String> = growing.into_iter().chain(rounded).collect();
+    for note in &notes {
         text += &format!("  note: {note}\n");
     }
     let damaged = !warnings.is_empty();
     let out = args.out.as_deref().map(crate::files::shown);
     let json = json!({
-        "report": played.report, "quality": quality, "out": out, "notes": rounded.as_slice(),
+        "report": played.report, "quality": quality, "out": out, "notes": notes,
         "warnings": warnings,
     });
     Ok(VerbOutput { text, json, warnings, damaged })
+}
+
+/// When to stop; what is longer than any time that can be counted is for ever.
+fn duration(seconds: f64) -> Duration {
+    Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)
+}
+
+/// Refuses what a relay cannot be asked for.
+fn check_relay(args: &Play) -> Result<()> {
+    if args.url.scheme != Scheme::Moq {
+        return Ok(());
+    }
+    if args.policy.is_some() || args.impair.is_some() {
+        bail!("{}: --policy and --impair are for a server of ours; a relay takes no such wishes", args.url);
+    }
+    if args.seek > 0.0 {
+        bail!(
+            "{}: --seek is for a server of ours; what a relay has is played from where it is now",
+            args.url
+        );
+    }
+    if args.streams {
+        bail!("{}: --streams is for a server of ours; what comes from a relay is in streams", args.url);
+    }
+    Ok(())
+}
+
+/// What is typed and means nothing where a stream grows.
+fn unused_where_it_grows(args: &Play) -> Option<String> {
+    let typed = [("--seek", args.seek > 0.0), ("--loop", args.repeat)];
+    let unused: Vec<&str> = typed.iter().filter(|(_, typed)| *typed).map(|(name, _)| *name).collect();
+    (!unused.is_empty()).then(|| {
+        let unused = unused.join(", ");
+        format!("the stream grows: it was played from its newest window on, once; not used: {unused}")
+    })
 }
 
 /// What the server is to change in this session, if anything.
 fn conditions(args: &Play) -> Result<Option<Conditions>> {
     if args.policy.is_none() && args.impair.is_none() {
         return Ok(None);
-    }
-    if args.url.scheme == Scheme::Moq {
-        bail!("{}: --policy and --impair are for a server of ours; a relay takes no such wishes", args.url);
     }
     let mut conditions = Conditions::NONE;
     if let Some(policy) = args.policy {
@@ -327,4 +378,60 @@ fn summary(args: &Play, report: &PlayReport, quality: Option<&Quality>) -> Strin
         text += &format!("  frames as shown: {}\n", folder.display());
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::args::{Cli, Verb};
+
+    fn played(typed: &[&str]) -> Box<Play> {
+        let typed = [&["dgs", "play"], typed].concat();
+        match Cli::try_parse_from(&typed) {
+            Ok(Cli { verb: Verb::Play(args), .. }) => args,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_time_to_play_may_be_longer_than_any_that_can_be_counted() {
+        assert_eq!(duration(0.5), Duration::from_millis(500));
+        assert_eq!((duration(1e20), duration(f64::MAX)), (Duration::MAX, Duration::MAX));
+    }
+
+    #[test]
+    fn a_relay_is_sent_no_request_that_it_cannot_serve() {
+        for (typed, named) in [
+            (&["--policy", "dash"][..], "--policy"),
+            (&["--seek", "1"], "--seek"),
+            (&["--streams"], "--streams"),
+        ] {
+            let error = check_relay(&played(&[&["moq+https://host/fox"], typed].concat())).unwrap_err();
+            assert!(error.to_string().contains(named), "{error}");
+            check_relay(&played(&[&["dgs://host/fox"], typed].concat())).unwrap();
+        }
+        check_relay(&played(&["moq+https://host/fox", "--loop", "--seek", "0"])).unwrap();
+    }
+
+    #[test]
+    fn what_a_stream_that_grows_leaves_unused_is_said() {
+        assert_eq!(unused_where_it_grows(&played(&["dgs://host"])), None);
+        let note = unused_where_it_grows(&played(&["dgs://host", "--seek", "3", "--loop"])).unwrap();
+        assert!(note.ends_with("not used: --seek, --loop"), "{note}");
+    }
+
+    #[test]
+    fn a_reference_is_the_stream_that_is_served() {
+        let file = |bytes: &[u8]| Stream::from_bytes(bytes).unwrap().0;
+        let shown = file(include_bytes!("../../codec-core/tests/conformance/everything.dgs"));
+        let extents = file(include_bytes!("../../codec-core/tests/conformance/made-extents.dgs"));
+        let xor = file(include_bytes!("../../codec-core/tests/conformance/xor.dgs"));
+        check(&shown, shown.message()).unwrap();
+        let error = check(&shown, extents.message()).unwrap_err().to_string();
+        assert!(error.contains("11 frames") && error.contains("another stream"), "{error}");
+        let error = check(&shown, xor.message()).unwrap_err().to_string();
+        assert!(error.contains("--reference has 11 frames; the stream that is served has"), "{error}");
+    }
 }

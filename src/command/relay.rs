@@ -9,6 +9,6 @@ mod present;
 pub(super) use dgs_quic::moq::play;
 
 #[cfg(not(feature = "moq"))]
-pub(super) use absent::{play, publish};
+pub(super) use absent::{check, play, publish};
 #[cfg(feature = "moq")]
-pub(super) use present::publish;
+pub(super) use present::{check, publish};

@@ -3,7 +3,7 @@
 use std::{
     collections::VecDeque,
     io,
-    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr},
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, TcpListener, UdpSocket},
     path::Path,
     thread,
     time::Duration,
@@ -90,6 +90,13 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
             .with_context(|| format!("--host is {host}"))?,
     };
     let log = args.log.as_deref().map(LineLog::open).transpose()?;
+    // Encoding may take minutes: what it would be in vain for is refused before.
+    check_names(&args.inputs)?;
+    let socket = Server::open(args.listen)?;
+    let listen = socket.local_addr().context("--listen")?;
+    let http = HttpConfig { bind: args.http.unwrap_or(listen), limits: HttpLimits::default() };
+    let listener = (!args.no_http).then(|| HttpServer::open(http.bind)).transpose();
+    let listener = listener.context("--http takes another port, --no-http serves no page")?;
     let offers = offers(args, quiet, &mut warnings)?;
     let limits = ServerLimits {
         max_viewers: args.max_viewers,
@@ -110,7 +117,8 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     };
     // At once: serving may take days.
     warnings.iter().for_each(|warning| output::print_status(&format!("warning: {warning}")));
-    let served = runtime()?.block_on(serve((args, &host), config, offers, log, quiet))?;
+    let ports = Ports { socket, page: listener.map(|listener| (listener, http)) };
+    let served = runtime()?.block_on(serve((args, &host), ports, config, offers, log, quiet))?;
     let Served { urls, page, report, viewers, http } = served;
     let text = summary(&report, http.as_ref());
     let json = json!({
@@ -143,6 +151,8 @@ fn publish(args: &Serve, relay: &Locator, quiet: Quiet) -> Result<VerbOutput> {
         bail!("--moq is {relay}; the address of a relay begins with moq+https://");
     }
     let trust = trust(relay, args.pin, args.ca.as_ref())?;
+    check_names(&args.inputs)?;
+    relay::check(relay, args.inputs.len())?;
     let mut warnings = Vec::new();
     let offers = offers(args, quiet, &mut warnings)?;
     warnings.iter().for_each(|warning| output::print_status(&format!("warning: {warning}")));
@@ -151,12 +161,29 @@ fn publish(args: &Serve, relay: &Locator, quiet: Quiet) -> Result<VerbOutput> {
     Ok(output)
 }
 
+/// Refuses inputs of which two would have one name.
+fn check_names(inputs: &[String]) -> Result<()> {
+    if inputs.iter().filter(|input| *input == LIVE_INPUT).count() > 1 {
+        bail!("{LIVE_INPUT} is given twice; standard input is one stream");
+    }
+    let called = |input: &String| if input == LIVE_INPUT { LIVE_NAME.to_owned() } else { name(input) };
+    let names: Vec<String> = inputs.iter().map(called).collect();
+    for (at, called) in names.iter().enumerate() {
+        if let Some(before) = names[..at].iter().position(|name| name == called) {
+            bail!(
+                "two streams are called {called}, {} and {}: rename a file; dgs encode makes a file of a \
+                 scene",
+                inputs[before],
+                inputs[at]
+            );
+        }
+    }
+    Ok(())
+}
+
 /// The streams that are named, ready to be sent.
 fn offers(args: &Serve, quiet: Quiet, warnings: &mut Vec<String>) -> Result<Vec<ServedStream>> {
     let mut offers = Vec::new();
-    if args.inputs.iter().filter(|input| *input == LIVE_INPUT).count() > 1 {
-        bail!("{LIVE_INPUT} is given twice; standard input is one stream");
-    }
     for input in &args.inputs {
         if input == LIVE_INPUT {
             offers.push(live(quiet)?);
@@ -167,6 +194,13 @@ fn offers(args: &Serve, quiet: Quiet, warnings: &mut Vec<String>) -> Result<Vec<
         offers.push(ServedStream::new(&name(input), &ready.stream, ready.graph)?);
     }
     Ok(offers)
+}
+
+/// The ports, open before there is anything to serve on them.
+struct Ports {
+    socket: UdpSocket,
+    /// That of the page, if there is one.
+    page: Option<(TcpListener, HttpConfig)>,
 }
 
 /// What was served, and to whom.
@@ -182,13 +216,14 @@ struct Served {
 /// Serves until Ctrl-C.
 async fn serve(
     (args, host): (&Serve, &str),
+    ports: Ports,
     config: ServerConfig,
     offers: Vec<ServedStream>,
     mut log: Option<LineLog>,
     quiet: Quiet,
 ) -> Result<Served> {
     let mut streams: Vec<SiteStream> = offers.iter().map(site_stream).collect();
-    let server = Server::bind(config, offers)?;
+    let server = Server::on(ports.socket, config, offers)?;
     let listen = server.local_addr().context("--listen")?;
     let mut urls = Vec::new();
     for stream in &mut streams {
@@ -210,10 +245,11 @@ async fn serve(
     if let Some(origin) = &args.allow_origin {
         site = site.with_allowed_origin(origin.clone());
     }
-    let http = if args.no_http {
-        None
-    } else {
-        Some(page(args.http.unwrap_or(listen), site)?.with_sessions(server.entrance()))
+    let http = match ports.page {
+        Some((listener, config)) => {
+            Some(HttpServer::on(listener, &config, site)?.with_sessions(server.entrance()))
+        }
+        None => None,
     };
     let page = match &http {
         Some(http) => Some(page_url(host, http.local_addr().context("--http")?.port())),
@@ -293,12 +329,6 @@ fn site_stream(offer: &ServedStream) -> SiteStream {
     }
 }
 
-/// The server of the page.
-fn page(bind: SocketAddr, site: Site) -> Result<HttpServer> {
-    let config = HttpConfig { bind, limits: HttpLimits::default() };
-    HttpServer::bind(&config, site).context("--http takes another port, --no-http serves no page")
-}
-
 fn page_url(host: &str, port: u16) -> String {
     if host.contains(':') { format!("http://[{host}]:{port}/") } else { format!("http://{host}:{port}/") }
 }
@@ -346,7 +376,10 @@ fn summary(report: &ServerReport, http: Option<&HttpReport>) -> String {
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser as _;
+
     use super::*;
+    use crate::args::{Cli, Verb};
 
     #[test]
     fn pages_elsewhere_need_a_certificate() {
@@ -361,6 +394,42 @@ mod tests {
         ] {
             assert_eq!(is_this_machine(host), is_here, "{host}");
         }
+    }
+
+    /// What is typed after `dgs serve`.
+    fn refused(typed: &[&str]) -> String {
+        let typed = [&["dgs", "serve"], typed].concat();
+        let Ok(Cli { verb: Verb::Serve(args), .. }) = Cli::try_parse_from(&typed) else {
+            panic!("{typed:?}")
+        };
+        format!("{:#}", run(&args, Quiet(true)).unwrap_err())
+    }
+
+    /// Nothing is read or encoded before: the inputs of this test are not there.
+    #[test]
+    fn what_cannot_be_served_is_refused_before_anything_is_read() {
+        let free = ["--listen", "127.0.0.1:0"];
+        for (inputs, named) in [
+            (["none.dgs", "a/none.dgs"], "two streams are called none, none.dgs and a/none.dgs"),
+            (["synth:figure", "synth:figure:1000"], "dgs encode makes a file of a scene"),
+            (["-", "live.dgs"], "two streams are called live, - and live.dgs"),
+            (["-", "-"], "- is given twice"),
+        ] {
+            let error = refused(&[&inputs[..], &free].concat());
+            assert!(error.contains(named), "{error}");
+            let error =
+                refused(&[&inputs[..], &["--moq", &format!("moq+https://host#{}", "0".repeat(64))]].concat());
+            assert!(error.contains(named), "{error}");
+        }
+        let (udp, tcp) = (UdpSocket::bind("127.0.0.1:0").unwrap(), TcpListener::bind("127.0.0.1:0").unwrap());
+        let (udp, tcp) = (udp.local_addr().unwrap().to_string(), tcp.local_addr().unwrap().to_string());
+        let error = refused(&["none.dgs", "--listen", &udp]);
+        assert!(error.contains(&format!("{udp}: cannot listen")), "{error}");
+        let error = refused(&["none.dgs", "--listen", "127.0.0.1:0", "--http", &tcp]);
+        assert!(error.contains(&format!("{tcp}: cannot listen for HTTP")), "{error}");
+        let relay = format!("moq+https://host/name#{}", "0".repeat(64));
+        let error = refused(&["none.dgs", "other.dgs", "--moq", &relay]);
+        assert!(error.contains("--features moq") || error.contains("leave the name out"), "{error}");
     }
 
     #[test]

@@ -166,17 +166,23 @@ fn watching(args: &StreamArgs, stream: &Stream) -> Result<Watching> {
 fn seen(args: &StreamArgs, watching: &Watching, stream: &Stream, shown: &[ShownState]) -> Result<Vec<f64>> {
     let received = stream.receive()?;
     let (content, settings) = (received.content(), pipeline::settings(&args.view));
-    let state_of = |frame: u32| shown.iter().find(|state| state.frame == frame);
     let frames = 0..content.manifest.head().frames;
-    let states: Vec<(u32, Option<&[u8]>)> =
-        frames.map(|frame| (frame, state_of(frame).map(|state| state.state.as_slice()))).collect();
-    let complete: Vec<(u32, Option<&[u8]>)> =
-        states.iter().map(|(frame, _)| (*frame, Some(content.blocks))).collect();
-    let images = watching.pictures(&content, &states, &settings)?;
-    let references = watching.pictures(&content, &complete, &settings)?;
-    let scores = images
-        .iter()
-        .zip(&references)
-        .map(|(image, reference)| Ok(metric::psnr(image, reference)?.min(evaluator::PSNR_CAP_DB)));
-    scores.collect()
+    let mut states: Vec<(u32, Option<&[u8]>)> = frames.map(|frame| (frame, None)).collect();
+    for state in shown {
+        if let Some((_, known)) = states.get_mut(state.frame as usize) {
+            known.get_or_insert(state.state.as_slice());
+        }
+    }
+    let mut scores = Vec::with_capacity(states.len());
+    // Pictures of a whole clip would take gigabytes: there are only as many as keep all threads busy.
+    for states in states.chunks(2 * rayon::current_num_threads()) {
+        let complete: Vec<(u32, Option<&[u8]>)> =
+            states.iter().map(|(frame, _)| (*frame, Some(content.blocks))).collect();
+        let images = watching.pictures(&content, states, &settings)?;
+        let references = watching.pictures(&content, &complete, &settings)?;
+        for (image, reference) in images.iter().zip(&references) {
+            scores.push(metric::psnr(image, reference)?.min(evaluator::PSNR_CAP_DB));
+        }
+    }
+    Ok(scores)
 }

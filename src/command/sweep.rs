@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use emulator_host::sweep::{Comparison, Summary, Sweep};
 use serde_json::json;
 
@@ -11,7 +11,7 @@ use crate::{
     output::VerbOutput,
     pipeline::Quiet,
     progress::Progress,
-    sweep::{self, Config, Folder, Origin, Shard},
+    sweep::{self, Config, Finished, Folder, Origin, Shard},
 };
 
 /// Runs the verb.
@@ -35,8 +35,13 @@ pub fn run(args: &SweepArgs, quiet: Quiet) -> Result<VerbOutput> {
     let shard = args.shard.unwrap_or(Shard::WHOLE);
     let progressed = pool.build()?.install(|| sweep::run(&sweep, &folder, shard, &progress))?;
     drop(progress);
-    let summary = folder.finish(config.baseline.name())?;
-    let missing = folder.missing().len();
+    let finished = folder.finish(config.baseline.name())?;
+    if let Finished::Lacks { batches, reason } = &finished
+        && shard == Shard::WHOLE
+    {
+        bail!("{batches} of {} batches are not whole after all were run: {reason}", folder.batches());
+    }
+    let (summary, missing) = (finished.summary(), finished.missing());
     let estimate = progressed.estimate(whole);
     let mut text = format!(
         "{whole} simulations of {} frames in {} batches; {} of {} batches of this share were there\n",
@@ -48,7 +53,7 @@ pub fn run(args: &SweepArgs, quiet: Quiet) -> Result<VerbOutput> {
     if let Some(estimate) = &estimate {
         text += &format!("  {estimate}\n");
     }
-    text += &said(summary.as_ref(), missing);
+    text += &said(summary, missing);
     let json = json!({
         "simulations": whole,
         "run": progressed.simulations(),
@@ -71,9 +76,9 @@ fn merge(args: &SweepMerge) -> Result<VerbOutput> {
     for other in &args.folders {
         lines += &format!("{}: {} batches\n", other.display(), folder.take(other)?);
     }
-    let summary = folder.finish(origin.outline.baseline.name())?;
-    let missing = folder.missing().len();
-    lines += &said(summary.as_ref(), missing);
+    let finished = folder.finish(origin.outline.baseline.name())?;
+    let (summary, missing) = (finished.summary(), finished.missing());
+    lines += &said(summary, missing);
     let (without, there) = folder.without_trajectories();
     let warnings = match without {
         0 => Vec::new(),

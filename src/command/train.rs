@@ -106,7 +106,7 @@ fn train(
         );
     }
     let network = args.lpips.as_deref().map(lpips).transpose()?;
-    let is_there = scene.is_some() || resumed.as_ref().is_some_and(|checkpoint| checkpoint.progress >= 1.0);
+    let is_there = scene.is_some() || resumed.as_ref().is_some_and(|checkpoint| checkpoint.progress() >= 1.0);
     let check = |options| delivery::check(args, dataset, options, is_there);
     delivery.map(check).transpose().context("--delivery")?;
     if scene.is_some() && delivery.is_some() && args.resume && !folder.has_fine_tuning() {
@@ -154,8 +154,8 @@ fn train(
         if args.resume && resumed.is_none() {
             bail!("{}: no such checkpoint; train without --resume first", folder.checkpoint.display());
         }
-        let (mut trainer, begun) = begin(args, &folder, resumed, dataset, backend)?;
-        check_length(args, &trainer, begun)?;
+        let (mut trainer, begun) = begin(args, &folder, resumed, &options(args)?, dataset, backend)?;
+        check_length(args, trainer.steps(), begun)?;
         let mut log = if args.resume { Log::resumed(&folder.log, trainer.steps())? } else { Log::default() };
         log.notes.extend_from_slice(&input.notes);
         log.notes.extend(changes);

@@ -68,11 +68,17 @@ impl FrameFolder {
         Ok(frames)
     }
 
-    /// Adds a frame: a file of this name.
+    /// Adds a frame: a file of this name, which no other has.
     ///
     /// # Errors
-    /// What the system says, with the path.
+    /// A name that is taken; what the system says, with the path.
     pub fn add(&mut self, name: String, bytes: &[u8]) -> Result<()> {
+        if self.temporary.path().join(&name).exists() {
+            bail!(
+                "{}: holds a file called {name} already; each needs a name of its own",
+                self.target.display()
+            );
+        }
         self.put(&name, bytes)?;
         self.index.files.push(name);
         Ok(())

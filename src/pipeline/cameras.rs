@@ -22,6 +22,7 @@ use trainer_host::{
     viewpoint::{FIELD_OF_VIEW, Framing, Ring},
 };
 
+use super::camera_names::choose;
 use crate::{
     args::{CameraArgs, FrameRange, ViewArgs},
     figures::counted,
@@ -112,7 +113,8 @@ pub fn viewpoints(typed: &CameraArgs, view: &ViewArgs, around: &mut Surroundings
         Some(found) => found,
         None => match &typed.cameras {
             Some(path) => {
-                let views = read_cameras(path, view.width.zip(view.height))?;
+                let views = read_cameras(path, view.width.zip(view.height));
+                let views = views.map_err(|error| with_missing_side(error, view))?;
                 let description = format!("{} cameras of {}", views.len(), path.display());
                 let showing = if views.len() > 1 { Showing::OwnFrame } else { Showing::Clip };
                 Viewpoints { views, description, showing }
@@ -198,31 +200,42 @@ fn unnamed(cameras: Vec<Camera>) -> Vec<View> {
     cameras.into_iter().map(|camera| View { name: String::new(), time: None, camera }).collect()
 }
 
-/// The camera of this name or number.
-fn choose<'v>(views: &'v [View], text: &str) -> Result<&'v View> {
-    let named = views.iter().find(|view| view.name == text);
-    let numbered = || text.parse::<usize>().ok().and_then(|index| views.get(index));
-    named.or_else(numbered).with_context(|| {
-        let last = views.len() - 1;
-        format!("--camera is {text}; a name in the file of --cameras, or 0 to {last} are allowed")
-    })
+/// `error` with the options that give what a file of cameras does not say.
+fn with_missing_side(error: anyhow::Error, view: &ViewArgs) -> anyhow::Error {
+    fn is_size(error: &CameraError) -> bool {
+        match error {
+            CameraError::SizeUnknown => true,
+            CameraError::Of { source, .. } => is_size(source),
+            _ => false,
+        }
+    }
+    match error.downcast_ref::<CameraError>() {
+        Some(found) if is_size(found) => {}
+        _ => return error,
+    }
+    let missing = match (view.width, view.height) {
+        (Some(_), None) => "--height is missing beside --width",
+        (None, Some(_)) => "--width is missing beside --height",
+        _ => "--width and --height are missing",
+    };
+    error.context(missing)
 }
 
-/// The cameras of `path`: a JSON file, one of COLMAP's two files, or the folder with both. `size` is the
-/// width and height of images in pixels for files that do not say.
+/// The cameras of `path`: a JSON file, one of COLMAP's two files, the folder with both, or that of a dataset
+/// of COLMAP. `size` is the width and height of images in pixels for files that do not say.
 ///
 /// # Errors
 /// A file that is not there, is none of these, or that its reader refuses.
 pub fn read_cameras(path: &Path, size: Option<(u32, u32)>) -> Result<Vec<View>> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let views = if path.is_dir() {
-        let text = path.join("images.txt").is_file() && !path.join("images.bin").is_file();
-        read_colmap(path, if text { Format::Text } else { Format::Binary })?
+        let folder = colmap_folder(path)?;
+        let text = folder.join("images.txt").is_file() && !folder.join("images.bin").is_file();
+        read_colmap(&folder, if text { Format::Text } else { Format::Binary })?
     } else if name.ends_with("_meta.json") {
         panoptic_cameras(path)?
     } else if name.ends_with(".json") {
-        let views = blender::read(&read(path)?, size);
-        views.with_context(|| format!("{}: --width and --height give a size", path.display()))?
+        blender::read(&read(path)?, size).with_context(|| path.display().to_string())?
     } else if name.ends_with(".bin") || name.ends_with(".txt") {
         let format = if name.ends_with(".bin") { Format::Binary } else { Format::Text };
         read_colmap(path.parent().unwrap_or(Path::new("")), format)?
@@ -239,12 +252,40 @@ pub fn read_cameras(path: &Path, size: Option<(u32, u32)>) -> Result<Vec<View>> 
     Ok(views)
 }
 
+/// The folder with COLMAP's two files: `folder`, or the one in it where datasets have it.
+///
+/// # Errors
+/// A folder with files of cameras in JSON alone: which of them is meant is to be said.
+fn colmap_folder(folder: &Path) -> Result<PathBuf> {
+    let has_cameras =
+        |inside: &PathBuf| ["cameras.bin", "cameras.txt"].iter().any(|name| inside.join(name).is_file());
+    let places = ["", "sparse/0", "sparse", "colmap/sparse/0"].map(|inside| folder.join(inside));
+    if let Some(found) = places.into_iter().find(has_cameras) {
+        return Ok(found);
+    }
+    let entries = std::fs::read_dir(folder).with_context(|| format!("{}: cannot read", folder.display()))?;
+    let names = entries.filter_map(|entry| Some(entry.ok()?.file_name().to_string_lossy().into_owned()));
+    let is_json = |name: &String| {
+        name.ends_with(".json") && (name.starts_with("transforms") || name.ends_with("_meta.json"))
+    };
+    let mut files: Vec<String> = names.filter(is_json).collect();
+    files.sort();
+    match files.is_empty() {
+        true => Ok(folder.to_owned()),
+        false => bail!(
+            "{}: is the folder of a dataset; a file in it is needed: {}",
+            folder.display(),
+            files.join(", ")
+        ),
+    }
+}
+
 fn read_colmap(folder: &Path, format: Format) -> Result<Vec<View>> {
     let ending = if format == Format::Binary { "bin" } else { "txt" };
     let [cameras, images]: [PathBuf; 2] =
         ["cameras", "images"].map(|name| folder.join(format!("{name}.{ending}")));
     let views = colmap::read(&read(&cameras)?, &read(&images)?, format);
-    views.with_context(|| format!("{} and {}", cameras.display(), images.display()))
+    views.with_context(|| folder.display().to_string())
 }
 
 fn read(path: &Path) -> Result<Vec<u8>> {
@@ -265,12 +306,45 @@ mod tests {
     }
 
     #[test]
-    fn cameras_are_chosen_by_name_before_number() {
-        let views = [view("1", None), view("b/c.png", None)];
-        assert_eq!(choose(&views, "1").unwrap().name, "1");
-        assert_eq!(choose(&views, "b/c.png").unwrap().name, "b/c.png");
-        assert_eq!(choose(&views, "0").unwrap().name, "1");
-        assert!(choose(&views, "2").unwrap_err().to_string().contains("0 to 1 are allowed"));
+    fn a_folder_of_a_dataset_has_its_cameras_in_it_or_says_which_file_has_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path();
+        std::fs::write(at.join("transforms_train.json"), "{}").unwrap();
+        let error = read_cameras(at, None).unwrap_err().to_string();
+        assert!(error.contains("a file in it is needed: transforms_train.json"), "{error}");
+        std::fs::create_dir_all(at.join("sparse/0")).unwrap();
+        std::fs::write(at.join("sparse/0/cameras.txt"), "1 PINHOLE 8 6 7 7 4 3\n").unwrap();
+        std::fs::write(at.join("sparse/0/images.txt"), "1 1 0 0 0 0 0 4 1 a.png\n\n").unwrap();
+        assert_eq!(read_cameras(at, None).unwrap()[0].name, "a.png");
+    }
+
+    #[test]
+    fn the_side_that_is_missing_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("transforms.json");
+        let text = r#"{"camera_angle_x": 0.8, "frames": [{"file_path": "a",
+            "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]}]}"#;
+        std::fs::write(&path, text).unwrap();
+        let typed = CameraArgs { cameras: Some(path), ..CameraArgs::default() };
+        let found = |width, height| {
+            let mut around = Surroundings {
+                own: &[],
+                framing: &mut || bail!("nothing is placed around the scene"),
+                ring: RENDER_RING,
+                size: (64, 64),
+                up: Up::Y,
+            };
+            viewpoints(&typed, &ViewArgs { width, height, background: [0.0; 3] }, &mut around)
+        };
+        for (width, height, says) in [
+            (Some(64), None, "--height is missing"),
+            (None, Some(64), "--width is missing"),
+            (None, None, "--width and --height are missing"),
+        ] {
+            let error = format!("{:#}", found(width, height).unwrap_err());
+            assert!(error.starts_with(says) && error.contains("no w and h"), "{error}");
+        }
+        assert_eq!(found(Some(64), Some(48)).unwrap().views[0].camera.height(), 48);
     }
 
     #[test]

@@ -62,6 +62,11 @@ impl LeftOut {
     }
 }
 
+/// A note on `input` that says so.
+pub(crate) fn note_of(input: &str, note: &str) -> String {
+    if note.starts_with(input) { note.to_owned() } else { format!("{input}: {note}") }
+}
+
 impl Frames {
     /// The frames of `input`: of a `.dgs` stream, what has arrived up to `level`; else of a scene. Damage is
     /// passed to `warn`.

@@ -17,8 +17,8 @@ use crate::pipeline;
 
 /// Bytes of the largest configuration.
 const MAX_BYTES: u64 = 1 << 20;
-/// Most simulations of a design.
-const MAX_SIMULATIONS: u64 = 100_000_000;
+/// Most simulations of a design: its summary takes two gigabytes then.
+const MAX_SIMULATIONS: u64 = 10_000_000;
 
 /// A configuration as it is written.
 #[derive(Clone, Debug)]

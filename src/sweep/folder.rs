@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    io::{Read as _, Seek as _, SeekFrom},
+    io::{Read as _, Seek as _, SeekFrom, Write as _},
     ops::Range,
     path::{Path, PathBuf},
 };
@@ -10,11 +10,11 @@ use std::{
 use anyhow::{Context, Result, bail, ensure};
 use emulator_host::{
     report::FrameRow,
-    sweep::{Summary, Trial, summary},
+    sweep::{Outcomes, Summary, Trial},
 };
 
 use super::{Digests, Outline, trajectory};
-use crate::files;
+use crate::files::{self, PendingFile};
 
 /// Blocks of one batch: few, so that little is lost with a killed process and shards are of equal size.
 const BLOCKS: u64 = 4;
@@ -74,6 +74,38 @@ fn undigested(folder: &Path) -> String {
         "{}: is not there, so nothing says which traces these results are of; another folder is needed",
         Digests::path(folder).display()
     )
+}
+
+/// What follows from the batches of a folder.
+#[derive(Clone, Debug)]
+pub(crate) enum Finished {
+    /// All are there, and this is their summary.
+    Whole(Summary),
+    /// So many are missing or were cut, and why the first of them counts as such.
+    Lacks {
+        /// How many.
+        batches: usize,
+        /// The file, and what is wrong with it.
+        reason: String,
+    },
+}
+
+impl Finished {
+    /// The summary, if there is one.
+    pub(crate) fn summary(&self) -> Option<&Summary> {
+        match self {
+            Self::Whole(summary) => Some(summary),
+            Self::Lacks { .. } => None,
+        }
+    }
+
+    /// Batches that are missing or were cut.
+    pub(crate) fn missing(&self) -> usize {
+        match self {
+            Self::Whole(_) => 0,
+            Self::Lacks { batches, .. } => *batches,
+        }
+    }
 }
 
 /// A folder of results of one configuration.
@@ -147,13 +179,25 @@ impl Folder {
     }
 
     /// Whether `batch` is there. Its runs are written last, so they say that all of it is.
-    pub(super) fn has(&self, batch: u64) -> bool {
+    fn has(&self, batch: u64) -> bool {
         self.runs(batch).is_file() && (!self.trajectories || self.trajectories(batch).is_file())
     }
 
     /// Whether `batch` is there and no file of it was cut since: otherwise the sweep makes it again.
-    fn has_whole(&self, batch: u64) -> bool {
-        self.has(batch) && self.read(batch).is_ok() && check_parquet(&self.trajectories(batch)).is_ok()
+    pub(super) fn has_whole(&self, batch: u64) -> bool {
+        self.read_whole(batch).is_ok()
+    }
+
+    /// As [`Self::read`], where all files of `batch` are there and none was cut since.
+    ///
+    /// # Errors
+    /// The file that is not there or not whole.
+    fn read_whole(&self, batch: u64) -> Result<(String, Vec<Trial>)> {
+        let trajectories = self.trajectories(batch);
+        ensure!(!self.trajectories || trajectories.is_file(), "{}: is not there", trajectories.display());
+        let read = self.read(batch)?;
+        check_parquet(&trajectories)?;
+        Ok(read)
     }
 
     /// Writes `batch`; how many bytes.
@@ -189,11 +233,6 @@ impl Folder {
             taken += u64::from(fresh);
         }
         Ok(taken)
-    }
-
-    /// Batches that are not there.
-    pub(crate) fn missing(&self) -> Vec<u64> {
-        (0..self.batches()).filter(|batch| !self.has_whole(*batch)).collect()
     }
 
     /// Batches that are there without trajectories, and all that are there.
@@ -232,26 +271,40 @@ impl Folder {
     }
 
     /// Writes what follows from all batches: every simulation in order, and the summary against `baseline`.
-    /// `None` while a batch is missing.
+    /// Where a batch is missing or was cut, nothing is written.
     ///
     /// # Errors
-    /// A batch that cannot be read, with its name and line.
-    pub(crate) fn finish(&self, baseline: &str) -> Result<Option<Summary>> {
-        if !self.missing().is_empty() {
-            return Ok(None);
-        }
-        let (mut text, mut trials) = (String::new(), Vec::<Trial>::new());
+    /// A file that cannot be written.
+    pub(crate) fn finish(&self, baseline: &str) -> Result<Finished> {
+        let target = self.path.join(RUNS);
+        let failed = || format!("{}: cannot write", target.display());
+        let are_there = (0..self.batches()).all(|batch| self.has(batch));
+        let mut runs = are_there.then(|| PendingFile::begin(&target)).transpose()?;
+        let mut outcomes = Outcomes::default();
+        let (mut batches, mut first) = (0, None);
         for batch in 0..self.batches() {
-            let (lines, read) = self.read(batch)?;
-            trials.extend(read);
-            text += &lines;
+            match (self.read_whole(batch), &mut runs) {
+                (Ok((text, trials)), Some(runs)) => {
+                    runs.file().write_all(text.as_bytes()).with_context(failed)?;
+                    trials.iter().for_each(|trial| outcomes.push(trial));
+                }
+                (Ok(_), None) => {}
+                (Err(reason), _) => {
+                    batches += 1;
+                    first.get_or_insert(reason);
+                    runs = None;
+                }
+            }
         }
-        let summary = summary(&trials, baseline);
-        files::write(&self.path.join(RUNS), text.as_bytes())?;
+        if let Some(reason) = first {
+            return Ok(Finished::Lacks { batches, reason: format!("{reason:#}") });
+        }
+        runs.map_or(Ok(()), PendingFile::finish)?;
+        let summary = outcomes.summary(baseline);
         let mut json = serde_json::to_vec_pretty(&summary)?;
         json.push(b'\n');
         files::write(&self.path.join(SUMMARY), &json)?;
-        Ok(Some(summary))
+        Ok(Finished::Whole(summary))
     }
 }
 

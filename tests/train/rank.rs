@@ -25,7 +25,11 @@ fn the_rank_is_chosen_by_validation() {
     let rank = ranks["choice"]["rank"].as_u64().unwrap();
     assert!(text.contains(&format!("rank {rank} of 0 to 8, each with three seeds")), "{text}");
     let alone = ["-o", "alone", "--delivery", "config.json", "--references", "8"];
-    ok(at, &[&alone[..], &["--rank", &rank.to_string()]].concat());
+    let of_alone = ok(at, &[&alone[..], &["--rank", &rank.to_string()]].concat());
+    let before = |text: &str| {
+        text.lines().find(|line| line.contains("all packets, before")).unwrap_or(text).to_owned()
+    };
+    assert_eq!(before(&text), before(&of_alone), "the scene as it was given has the rank that was chosen");
     let stream = |of: &str| fs::read(at.join(of).join("scene.dgs")).unwrap();
     assert!(stream("out") == stream("alone"), "the same as with this rank typed");
 
@@ -40,7 +44,9 @@ fn the_rank_is_chosen_by_validation() {
     fs::write(at.join("out/ranks.json"), other.to_string()).unwrap();
     let text = ok(at, &[&args[..], &["--resume"]].concat());
     assert!(text.contains(&format!("rank {} of 0 to 8", (rank + 1) % 9)), "{text}");
-    // Those of others do not.
+    // Those of others do not, nor those measured on other pictures.
+    let error = refused(at, &[&args[..], &["--resume", "--max-side", "32"]].concat());
+    assert!(error.contains("ranks.json: without this file ranks are measured anew"), "{error}");
     let error =
         refused(at, &["-o", "out", "--delivery", "iid", "--references", "8", "--choose-rank", "--resume"]);
     assert!(error.contains("ranks.json: without this file ranks are measured anew"), "{error}");

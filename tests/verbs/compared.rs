@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use super::{SMALL, json, ok, stopped};
+use super::{SMALL, json, names, ok, stopped};
 
 /// Mean PSNR of a comparison, dB, and what it says of its cameras.
 fn compared(at: &Path, args: &[&str]) -> (f64, String) {
@@ -118,4 +118,78 @@ fn views_that_show_nothing_do_not_count() {
     assert!(said["notes"].to_string().contains("nothing of A or B is seen in 1 picture"), "{said}");
     let text = stopped(at, &["compare", a, b, "--eye", "0,0,90", "--target", "0,0,180"], 1);
     assert!(text.contains("nothing of A or B is seen in any of 1 picture"), "{text}");
+}
+
+/// COLMAP's cameras of a rig of two, each with a picture called 0001, and of other sizes.
+fn rig(at: &Path) {
+    fs::write(at.join("cameras.txt"), "1 PINHOLE 40 30 40 40 20 15\n2 PINHOLE 24 32 40 40 12 16\n").unwrap();
+    let images = "1 1 0 0 0 0 1 4 1 left/0001.png\n\n2 1 0 0 0 0.5 1 4 2 right/0001.png\n\n";
+    fs::write(at.join("images.txt"), images).unwrap();
+}
+
+/// Each picture goes with one camera: the one whose name it shares most of.
+#[test]
+fn pictures_of_a_rig_go_with_their_own_cameras() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:1000:1";
+    rig(at);
+    fs::create_dir(at.join("left")).unwrap();
+    let cameras = ["--cameras", "cameras.txt"];
+    ok(at, &[&["render", scene, "-o", "left/0001.png", "--camera", "left/0001"], &cameras[..]].concat());
+    let text = stopped(at, &[&["compare", "left", scene], &cameras[..]].concat(), 1);
+    assert!(
+        text.contains("1 picture, and cameras and frames for 2")
+            && text.contains("no picture is that of right/0001.png"),
+        "{text}"
+    );
+    // Two renders of the same stem have two names.
+    let said = json(at, &[&["compare", scene, scene, "-o", "maps"], &cameras[..]].concat());
+    assert_eq!(names(&at.join("maps")), ["left_0001.png", "right_0001.png", "sequence.json"]);
+    assert_eq!(said["pictures"][1]["name"], "right_0001");
+}
+
+/// Cameras of several sizes are compared with pictures of those, and typed sizes are not used.
+#[test]
+fn renders_have_the_size_of_their_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:1000:1";
+    rig(at);
+    let images = fs::read_to_string(at.join("images.txt")).unwrap();
+    fs::write(at.join("images.txt"), images.replace("right/0001", "right/0002")).unwrap();
+    let cameras = ["--cameras", "cameras.txt"];
+    fs::create_dir(at.join("p")).unwrap();
+    for name in ["0001", "0002"] {
+        let out = format!("p/{name}.png");
+        ok(at, &[&["render", scene, "-o", &out, "--camera", name], &cameras[..]].concat());
+    }
+    let (psnr, said) = compared(at, &[&["p", scene, "--width", "100"], &cameras[..]].concat());
+    assert!(psnr > 50.0 && said.contains("matched by name"), "{psnr} dB, {said}");
+    assert!(said.contains("renders are of the size of their pictures; not used: --width"), "{said}");
+    // One wrong name does not make another order of all.
+    fs::rename(at.join("p/0001.png"), at.join("p/0003.png")).unwrap();
+    let text = stopped(at, &[&["compare", "p", scene], &cameras[..]].concat(), 1);
+    assert!(text.contains("nothing is called 0003.png; no picture is that of left/0001.png"), "{text}");
+    // Without any name that says, order does.
+    fs::rename(at.join("p/0002.png"), at.join("p/0004.png")).unwrap();
+    let (_, said) = compared(at, &[&["p", scene], &cameras[..]].concat());
+    assert!(said.contains("matched by order"), "{said}");
+}
+
+/// What is said of one of two scenes says of which.
+#[test]
+fn notes_name_the_scene_that_they_are_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["convert", "synth:figure:1000:1", "a.ply"]);
+    ok(at, &["convert", "synth:figure:1000:1", "b.spz"]);
+    let said = json(at, &[&["compare", "a.ply", "b.spz"], &SMALL[..]].concat())["notes"].to_string();
+    for says in ["a.ply: up is taken to be minus-y", "b.spz: up is taken to be y"] {
+        assert!(said.contains(says), "{said}");
+    }
+    // What is typed of the input is not so of what is merged with it.
+    let merge = ["convert", "a.ply", "c.ply", "--merge", "b.spz", "--up", "z"];
+    let said = json(at, &merge)["notes"].to_string();
+    assert!(said.contains("b.spz: up is taken to be y") && !said.contains("a.ply: up"), "{said}");
 }

@@ -75,7 +75,7 @@ fn what_does_not_go_through_pipes_is_named() {
     }
     assert_eq!(fs::read_dir(at).unwrap().count(), 0);
     let refused = piped(at, &["import", "-"], b"ply\n");
-    assert!(text(&refused.stderr).contains("is a pipe and no stream"), "{}", text(&refused.stderr));
+    assert!(text(&refused.stderr).contains("-: is no file, folder or stream"), "{}", text(&refused.stderr));
 }
 
 #[test]
@@ -92,6 +92,24 @@ fn what_was_meant_is_named() {
     }
     let decisions = ["--pictures", "0", "--decisions-out", "d.json"];
     ok(at, &[&["encode", "synth:figure:1000:2", "-o", "a.dgs"], &decisions[..]].concat());
+    fs::create_dir(at.join("photographs")).unwrap();
+    fs::write(at.join("photographs/transforms_train.json"), r#"{"camera_angle_x": 0.7, "frames": []}"#)
+        .unwrap();
+    let cut = fs::read(at.join("a.ply")).unwrap();
+    fs::write(at.join("cut.ply"), &cut[..cut.len() - 100]).unwrap();
+    fs::write(at.join("cut.glb"), b"glTF\x02\0\0\0").unwrap();
+    for (args, says) in [
+        (["import", "photographs"], "dgs train photographs makes a scene of them"),
+        (["import", "photographs/transforms_train.json"], "dgs train photographs makes"),
+        (["inspect", "photographs/transforms_train.json"], "it begins with \"{\\\"ca\"; \"DGS\\x01\" is"),
+        (["import", "d.json"], "dgs inspect --decisions"),
+        (["inspect", "d.json"], "dgs inspect --decisions"),
+        (["import", "cut.ply"], "--keep-readable reads what is there"),
+    ] {
+        let error = stopped(at, &args, 1);
+        assert!(error.contains(says) && !error.contains("glTF)"), "{args:?}: {error}");
+    }
+    assert!(!stopped(at, &["import", "cut.glb"], 1).contains("--keep-readable"));
     let error = stopped(at, &["encode", "synth:figure:3000:2", "-o", "b.dgs", "--decisions", "d.json"], 1);
     assert!(error.contains("the scene has 3000 Gaussians; the decisions are for 1000"), "{error}");
     let error = stopped(at, &["decode", "a.dgs", "-o", "x.xyz"], 1);

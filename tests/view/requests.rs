@@ -153,3 +153,82 @@ fn keys_that_fly_work_at_once() {
     assert_eq!(page.number("flown.length"), 0.0, "without the focus, keys are no longer held");
     page.close();
 }
+
+/// What is not allowed is refused by its name, and changes nothing.
+#[test]
+fn what_is_out_of_range_is_refused() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25", SIDE / 4) else {
+        return;
+    };
+    page.run(
+        "globalThis.refused = async (act) => {\
+             try { await act(); } catch ({ name, message }) { return `${name} ${message}`; } }, 0",
+    );
+    let levels = "whole numbers from 0 to 3 are allowed";
+    let schedulers = "\"\" (the server's own), layered, dash, dependency, deadline-utility, \
+                      deadline-utility-paper are allowed";
+    for (act, name, found, allowed) in [
+        ("player.quality = 'high'", "quality", "high", levels),
+        ("player.quality = 4", "quality", "4", levels),
+        ("player.session.cap = 1.5", "cap", "1.5", levels),
+        ("player.impair({ scheduler: 'layerd' })", "scheduler", "layerd", schedulers),
+        ("player.impair({ loss: 0.95 })", "loss", "0.95", "0 to 0.9 are allowed"),
+        (
+            "player.impair({ rate: 500 })",
+            "rate",
+            "500",
+            "1000 to 1000000000 bit/s, or 0 for no limit, are allowed",
+        ),
+        ("player.session.impair({ burst: 101 })", "burst", "101", "1 to 100 packets are allowed"),
+        ("player.session.setConditions({ delay: 2 })", "delay", "2", "0 to 1 seconds are allowed"),
+    ] {
+        let said = page.run(&format!("refused(() => {act})"));
+        assert_eq!(said, format!("RangeError {name}: {found}; {allowed}"), "{act}");
+    }
+    page.run("player.setAttribute('quality', 'low'), 0");
+    assert_eq!(page.run("player.error.message"), format!("quality: low; {levels}"));
+    assert_eq!(page.run("[player.quality, player.session.cap].join()"), "3,3");
+    assert_eq!(page.run("player.shadowRoot.querySelector('.loss').value"), "0");
+    // A slider changes its own number alone, however coarse the others are.
+    page.run(
+        "{ const real = player.session.setConditions.bind(player.session);\
+           player.session.setConditions = (given) => ((globalThis.wanted = given), real(given));\
+         } player.impair({ loss: 0.705, burst: 60, rate: 123456789, delay: 1, seed: 1000 }).then(() => 0)",
+    );
+    page.run(
+        "{ const delay = player.shadowRoot.querySelector('.delay'); globalThis.most = delay.value;\
+           delay.value = 100; delay.dispatchEvent(new Event('input', { bubbles: true })); } 0",
+    );
+    assert_eq!(page.run("most"), "1000", "sliders reach what is allowed");
+    let wanted = "['loss', 'burst', 'rate', 'delay', 'seed'].map((name) => wanted[name]).join()";
+    assert_eq!(page.run(wanted), "0.705,60,123456789,0.1,1000");
+    // So many are not lost in shorter runs.
+    page.run("player.impair({ loss: 0.9, burst: 4 }).then(() => 0)");
+    assert_eq!(page.run("player.shadowRoot.querySelector('.burst + output').textContent"), "9 packets");
+    let url = format!("{}?transport=foo", page.served.url());
+    page.browser.go(&url).unwrap();
+    let failed = "(globalThis.player = document.querySelector('dgs-player'))?.error?.message ===\
+        'transport: foo; live, streams, websocket, file are allowed'";
+    page.browser.wait(PAGE_TIMEOUT_S, failed).unwrap();
+    page.close();
+}
+
+/// A link to an instant goes there, as often as it is followed; without one nothing is gone to.
+#[test]
+fn a_time_that_is_set_again_is_gone_to_again() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25", SIDE / 4) else {
+        return;
+    };
+    for _ in 0..2 {
+        page.run("player.currentTime = 0.8, 0");
+        page.browser.wait(PAGE_TIMEOUT_S, "location.hash.includes('t=0.800')").unwrap();
+        page.run("location.hash = 't=0.4', 0");
+        page.browser.wait(PAGE_TIMEOUT_S, "player.currentTime === 0.4").unwrap();
+    }
+    page.run("player.removeAttribute('time'), 0");
+    assert_eq!(page.run("[player.currentTime, player.time].join()"), "0.4,0");
+    // A view that is kept is forgotten.
+    page.run("player.view = player.view.map((number) => -number), player.view = null, player.remove(), 0");
+    assert_eq!(page.run("player.session === null && player.view === null"), true);
+    page.close();
+}

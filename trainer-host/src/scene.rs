@@ -219,6 +219,20 @@ impl Epoch {
         Ok(Self { count, frames, attributes })
     }
 
+    /// One frame without Gaussians.
+    pub(crate) fn empty() -> Self {
+        let attributes = Attributes {
+            positions: Track::Constant(Vec::new()),
+            rotations: Track::Constant(Vec::new()),
+            log_scales: Track::Constant(Vec::new()),
+            opacity_logits: Track::Constant(Vec::new()),
+            sh0: Track::Constant(Vec::new()),
+            sh_rest: Vec::new(),
+            sh_degree: ShDegree::ZERO,
+        };
+        Self { count: 0, frames: 1, attributes }
+    }
+
     /// Number of Gaussians, N. May be zero.
     pub fn count(&self) -> usize {
         self.count

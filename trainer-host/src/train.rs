@@ -47,7 +47,7 @@ pub use model::Model;
 pub use options::{DensityControl, Finish, OptionsError, Rates, Schedule, TrainOptions};
 pub use pixel_mask::PixelMask;
 pub use reduction::Trimmed;
-pub use step_report::{Stage, StepReport};
+pub use step_report::StepReport;
 pub use trainer::Trainer;
 pub use views::{
     ColouredPoint, Dataset, FreeSpace, PosedPhotograph, Start, Test, Training, Validation, Views, ViewsError,

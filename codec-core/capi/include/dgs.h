@@ -39,7 +39,7 @@ extern "C" {
 #define DGS_CONTRADICTION 5
 /* Arrived before; nothing new in it. */
 #define DGS_DUPLICATE 6
-/* The caller's memory is too small for it. */
+/* The caller's memory is too small for it, or it is over a bound of dgs_caps. */
 #define DGS_CAPACITY 7
 /* A pointer is null that must not be. */
 #define DGS_NULL 8
@@ -68,11 +68,12 @@ typedef struct dgs_error {
     int32_t status;
     /* Byte offset of the field in the input. */
     uint32_t offset;
-    /* The value found; bytes there are, for DGS_SHORT and DGS_CAPACITY. */
+    /* The value found; bytes there are, for DGS_SHORT. For DGS_CAPACITY what there is of the caller's
+     * memory, if it is below least, or else a count that is over a bound of dgs_caps. */
     uint64_t found;
-    /* Smallest allowed value. */
+    /* Smallest allowed value; what is needed, for DGS_SHORT and for memory. */
     uint64_t least;
-    /* Largest allowed value; bytes needed, for DGS_SHORT and DGS_CAPACITY. */
+    /* Largest allowed value; what is needed, for DGS_SHORT and for memory. */
     uint64_t most;
     /* Name of the field or argument, ASCII, field_len bytes without a final zero; a constant. */
     uint8_t const *field;

@@ -19,7 +19,7 @@ pub const DGS_CHECKSUM: i32 = 4;
 pub const DGS_CONTRADICTION: i32 = 5;
 /// Arrived before; nothing new in it.
 pub const DGS_DUPLICATE: i32 = 6;
-/// The caller's memory is too small for it.
+/// The caller's memory is too small for it, or it is over a bound of `dgs_caps`.
 pub const DGS_CAPACITY: i32 = 7;
 /// A pointer is null that must not be.
 pub const DGS_NULL: i32 = 8;
@@ -51,11 +51,12 @@ pub struct DgsError {
     pub status: i32,
     /// Byte offset of the field in the input.
     pub offset: u32,
-    /// The value found; bytes there are, for `DGS_SHORT` and `DGS_CAPACITY`.
+    /// The value found; bytes there are, for `DGS_SHORT`. For `DGS_CAPACITY` what there is of the caller's
+    /// memory, if it is below `least`, or else a count that is over a bound of `dgs_caps`.
     pub found: u64,
-    /// Smallest allowed value.
+    /// Smallest allowed value; what is needed, for `DGS_SHORT` and for memory.
     pub least: u64,
-    /// Largest allowed value; bytes needed, for `DGS_SHORT` and `DGS_CAPACITY`.
+    /// Largest allowed value; what is needed, for `DGS_SHORT` and for memory.
     pub most: u64,
     /// Name of the field or argument, ASCII, `field_len` bytes without a final zero; a constant.
     pub field: *const u8,

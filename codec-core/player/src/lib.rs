@@ -17,6 +17,7 @@
 //! ```
 
 mod frames;
+mod index;
 mod player;
 mod stream;
 

@@ -15,6 +15,8 @@ use codec_core::{
 };
 use codec_simd::crc32;
 
+use crate::index::IndexCheck;
+
 /// A manifest and its packets: bytes, and nothing about how they were made.
 ///
 /// ```
@@ -40,7 +42,8 @@ pub struct Damage {
     pub missing_packets: usize,
     /// Packets whose id another packet before them has; they are passed over.
     pub duplicates: usize,
-    /// Why the index could not be used, if it could not.
+    /// Why the index cannot be used, if it cannot: it is missing, damaged, or says other places than those
+    /// where packets and index lie.
     pub index: Option<Error>,
     /// Whether the file ends before its index.
     pub truncated: bool,
@@ -210,7 +213,9 @@ impl Stream {
         Requirements::of(&parsed, caps)?;
         let mut packets = vec![Vec::new(); parsed.head().packets as usize];
         let mut damage = Damage { truncated: true, ..Damage::default() };
+        let mut index = IndexCheck::of(bytes, start);
         for record in file::packets(bytes, start, crc32) {
+            index.take(&record);
             match record {
                 Record::Packet(at, packet) => match packets.get_mut(packet.id().index()) {
                     Some(slot) if slot.is_empty() => *slot = packet.bytes().to_vec(),
@@ -224,7 +229,7 @@ impl Stream {
         }
         let missing = file::missing(&parsed, |id| packets.get(id as usize).is_some_and(|p| !p.is_empty()));
         damage.missing_packets = missing.lost as usize;
-        damage.index = file::index(bytes, crc32).err();
+        damage.index = index.wrong();
         Ok((Self { message: message.to_vec(), raw, packets }, damage))
     }
 }
@@ -238,4 +243,69 @@ pub fn sealed(raw: &[u8]) -> Result<Vec<u8>> {
     let len = manifest::seal(raw, &mut message)?;
     message.truncate(len);
     Ok(message)
+}
+
+#[cfg(test)]
+mod tests {
+    use codec_core::ErrorKind;
+
+    use super::*;
+
+    const FILE: &[u8] = include_bytes!("../../tests/conformance/one.dgs");
+    /// Where the lengths of its packets, its end mark and its index lie.
+    const PACKETS: [u32; 4] = [276, 300, 322, 344];
+    const END: usize = 366;
+    const INDEX: usize = END + 2;
+
+    /// `front`, then an index of `entries`.
+    fn indexed(front: &[u8], entries: &[u32]) -> Vec<u8> {
+        let mut index = [*b"DGSX", (entries.len() as u32).to_le_bytes()].concat();
+        entries.iter().for_each(|entry| index.extend(entry.to_le_bytes()));
+        let crc = crc32(&index).to_le_bytes();
+        let len = (index.len() as u32 + 8).to_le_bytes();
+        [front, &index, &crc, &len].concat()
+    }
+
+    fn damage(file: &[u8]) -> Damage {
+        Stream::from_bytes(file).unwrap().1
+    }
+
+    fn error(field: &'static str, at: usize, found: u64, allowed: (u64, u64)) -> Option<Error> {
+        Some(Error::illegal(field, at, found, allowed).kind(ErrorKind::Contradiction))
+    }
+
+    #[test]
+    fn an_index_that_fits_its_crc_and_no_packet_is_reported() {
+        let with = |entries: &[u32]| damage(&indexed(&FILE[..INDEX], entries));
+        assert_eq!(indexed(&FILE[..INDEX], &PACKETS), FILE);
+        assert!(with(&PACKETS).is_none());
+        assert_eq!(with(&[276, 300, 323, 344]).index, error("file.index", INDEX + 16, 323, (322, 322)));
+        assert_eq!(with(&[300, 276, 322, 344]).index, error("file.index", INDEX + 8, 300, (276, 276)));
+        let count = |found, allowed| error("file.index_packets", INDEX + 4, found, allowed);
+        assert_eq!(with(&PACKETS[..3]).index, count(3, (4, u32::MAX.into())));
+        assert_eq!(with(&[276, 300, 322, 344, 344]).index, count(5, (0, 4)));
+        assert_eq!(with(&[]).index, count(0, (1, u32::MAX.into())));
+        // The packets are there all the same.
+        assert_eq!((with(&[]).missing_packets, with(&[]).ranges.len()), (0, 0));
+    }
+
+    #[test]
+    fn an_index_elsewhere_is_reported() {
+        let first = indexed(&FILE[..INDEX], &PACKETS);
+        let two = indexed(&first, &PACKETS);
+        let place = first.len() as u64;
+        assert_eq!(damage(&two).index, error("file.index", first.len(), place, (INDEX as u64, INDEX as u64)));
+    }
+
+    #[test]
+    fn what_the_index_says_of_damaged_packets_is_believed() {
+        for at in [PACKETS[1], PACKETS[1] + 9, PACKETS[3] + 5] {
+            let mut file = FILE.to_vec();
+            file[at as usize] ^= 1;
+            let found = damage(&file);
+            assert_eq!((found.ranges.len(), found.missing_packets, found.index), (1, 1, None), "{at}");
+        }
+        let end = [&FILE[..END], &[1], &FILE[END + 1..]].concat();
+        assert_eq!((damage(&end).truncated, damage(&end).index), (true, None));
+    }
 }

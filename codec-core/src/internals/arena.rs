@@ -188,3 +188,32 @@ impl Caps {
         Plan::most(self).words().saturating_add(manifest).saturating_add(early)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{ids::Level, limits};
+
+    /// On targets of 32 bits numbers of words saturate.
+    #[test]
+    fn a_host_stays_under_a_gibibyte_and_a_microcontroller_under_a_mebibyte() {
+        let bytes = |words: usize| WORD_BYTES as u64 * words as u64;
+        let receiver = |caps: Caps| {
+            let frames = Plan { receiver: Requirements::default(), ..Plan::most(&caps) };
+            bytes(caps.arena_words()) - bytes(frames.words())
+        };
+        assert!(usize::BITS < 64 || receiver(Caps::HOST) < 1 << 30, "{}", receiver(Caps::HOST));
+        assert!(receiver(Caps::SMALL) < 1 << 20, "{}", receiver(Caps::SMALL));
+        let arena = |caps: Caps| bytes(caps.arena_words());
+        assert!(arena(Caps::SMALL) < 9 << 18, "{}", arena(Caps::SMALL));
+        assert!(usize::BITS < 64 || arena(Caps::HOST) < 3 << 30, "{}", arena(Caps::HOST));
+    }
+
+    /// Counters of symbols are for canonical cells, of which there are no more than clusters.
+    #[test]
+    fn counters_are_for_as_many_cells_as_there_are_clusters() {
+        let most = |cells| Requirements::most(&Caps { cells, symbols: 0, ..Caps::HOST }).progress;
+        assert_eq!(most(7), 7 * Level::COUNT);
+        assert_eq!(most(u32::MAX), limits::MAX_CLUSTERS as usize * Level::COUNT);
+    }
+}

@@ -70,22 +70,21 @@ impl<'a> Reader<'a> {
     /// The next varint, at most `max`.
     ///
     /// # Errors
-    /// [`ErrorKind::Short`]; [`ErrorKind::Illegal`] if it is over `max`, too long, or not in
-    /// shortest form.
+    /// [`ErrorKind::Short`]; [`ErrorKind::Illegal`] if it is over `max`, or, of its last byte, if it is too
+    /// long or not in shortest form.
     pub fn varint(&mut self, field: &'static str, max: u32) -> Result<u32> {
-        let start = self.at;
-        let mut value = 0u64;
+        let (start, mut value, mut last) = (self.at, 0u64, 0u8);
         for shift in [0u32, 7, 14, 21, 28] {
-            let byte = self.u8(field)?;
-            value |= u64::from(byte & 0x7f) << shift;
-            if byte & 0x80 == 0 {
-                if (byte == 0 && shift > 0) || value > u64::from(max) {
+            last = self.u8(field)?;
+            value |= u64::from(last & 0x7f) << shift;
+            if last & 0x80 == 0 {
+                if last == 0 && shift > 0 {
                     break;
                 }
-                return Ok(value as u32);
+                return in_range(field, start, value, 0, max.into()).map(|value| value as u32);
             }
         }
-        Err(Error::illegal(field, start, value, (0, u64::from(max))))
+        Err(Error::illegal(field, self.at - 1, last.into(), (1, 0x7f)))
     }
 
     /// A varint in `low..=high`.
@@ -186,13 +185,8 @@ impl<'a> Writer<'a> {
 
 /// Bytes that [`Writer::varint`] takes for `value`.
 pub const fn varint_len(value: u32) -> usize {
-    match value {
-        0..=0x7f => 1,
-        0x80..=0x3fff => 2,
-        0x4000..=0x1f_ffff => 3,
-        0x20_0000..=0xfff_ffff => 4,
-        _ => 5,
-    }
+    // Of seven bits each; 0 takes one, too.
+    (u32::BITS - (value | 1).leading_zeros()).div_ceil(7) as usize
 }
 
 #[cfg(test)]
@@ -229,9 +223,10 @@ mod tests {
     #[test]
     fn long_forms_and_overlong_values_are_refused() {
         let long_zero = [0x80, 0x00];
-        assert_eq!(Reader::new(&long_zero).varint("v", 9).unwrap_err().kind, ErrorKind::Illegal);
+        assert_eq!(Reader::new(&long_zero).varint("v", 9), Err(Error::illegal("v", 1, 0, (1, 0x7f))));
         let six = [0xff, 0xff, 0xff, 0xff, 0xff, 0x01];
-        assert_eq!(Reader::new(&six).varint("v", u32::MAX).unwrap_err().kind, ErrorKind::Illegal);
+        assert_eq!(Reader::new(&six).varint("v", u32::MAX), Err(Error::illegal("v", 4, 0xff, (1, 0x7f))));
+        assert_eq!(Reader::new(&[0x8a, 0x01]).varint("v", 9), Err(Error::illegal("v", 0, 138, (0, 9))));
         assert_eq!(Reader::new(&[0x80]).varint("v", 9).unwrap_err().kind, ErrorKind::Short);
     }
 

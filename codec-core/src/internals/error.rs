@@ -22,7 +22,7 @@ pub enum ErrorKind {
     Contradiction,
     /// Arrived before: nothing new in it.
     Duplicate,
-    /// The caller's memory or limit is too small for it.
+    /// The caller's memory is too small for it, or it is over the caller's limit.
     Capacity,
 }
 
@@ -59,9 +59,11 @@ pub struct Error {
     pub field: &'static str,
     /// Byte offset in the input where the field, or the record that holds it, starts.
     pub offset: u32,
-    /// The value found (for [`ErrorKind::Short`], the bytes there are).
+    /// The value found. For [`ErrorKind::Short`], the bytes that there are; for [`ErrorKind::Capacity`] of
+    /// memory, the elements that it has.
     pub found: u64,
-    /// Smallest and largest allowed value (for [`ErrorKind::Short`], the bytes needed).
+    /// Smallest and largest allowed value. For [`ErrorKind::Short`] and for [`ErrorKind::Capacity`] of
+    /// memory, where `found` is below both, what is needed.
     pub allowed: (u64, u64),
 }
 
@@ -107,6 +109,10 @@ impl fmt::Display for Error {
             ErrorKind::Checksum => {
                 write!(f, "{field} at byte {offset}: found {found:#010x}, the bytes give {low:#010x}")
             }
+            // Memory of the caller's; a count over a cap is said as any other value that is too large.
+            ErrorKind::Capacity if found < low => {
+                write!(f, "{field}: {found} there, {low} needed (capacity)")
+            }
             ErrorKind::Duplicate => write!(f, "{field} at byte {offset}: {found} arrived before"),
             _ if low == high => {
                 write!(f, "{field} at byte {offset}: found {found}, allowed is {low} ({})", kind.name())
@@ -139,5 +145,9 @@ mod tests {
         assert_eq!(text, "slice.level at byte 7: found 9, allowed is 0..=3 (illegal)");
         let text = Error::short("packet.crc", 20, 3, 4).to_string();
         assert_eq!(text, "packet.crc at byte 20: 3 bytes left, 4 needed");
+        let text = Error::too_small("arena", 6144, 6152).to_string();
+        assert_eq!(text, "arena: 6144 there, 6152 needed (capacity)");
+        let text = Error::illegal("manifest.frames", 0, 8, (0, 7)).kind(ErrorKind::Capacity).to_string();
+        assert_eq!(text, "manifest.frames at byte 0: found 8, allowed is 0..=7 (capacity)");
     }
 }

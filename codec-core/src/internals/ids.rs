@@ -37,11 +37,6 @@ id!(
     ClusterId(u16)
 );
 id!(
-    /// A block of up to [`block_len`](crate::wire::manifest::Manifest::block_len) Gaussians, counted
-    /// inside its cluster from 0.
-    BlockId(u16)
-);
-id!(
     /// A cell of the lattice: one cluster in one epoch (canonical) or in one window (motion).
     CellId(u32)
 );

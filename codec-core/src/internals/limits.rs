@@ -39,7 +39,7 @@ pub const MAX_RANK: usize = MAX_WINDOW_FRAMES;
 pub const MAX_CLUSTERS: u32 = 1 << 17;
 /// Most quantisation profiles.
 pub const MAX_QUANT_PROFILES: usize = 256;
-/// Most entropy tables; index 255 means "no table".
+/// Most entropy tables.
 pub const MAX_TABLES: usize = 255;
 /// Largest uncompressed manifest, bytes.
 pub const MAX_MANIFEST_BYTES: usize = 64 << 20;

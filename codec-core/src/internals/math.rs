@@ -3,7 +3,7 @@
 
 /// e^x for finite x, relative error under 3e-7 in -80..=80; clamped outside.
 ///
-/// Range reduction by powers of two and a degree-6 polynomial (minimax on ±ln2/2).
+/// Range reduction by powers of two and a degree-6 polynomial (Taylor, on ±ln2/2).
 pub fn exp(x: f32) -> f32 {
     let x = x.clamp(-80.0, 80.0);
     // Round to nearest without a float function: the cast truncates towards zero.

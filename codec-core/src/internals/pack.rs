@@ -6,8 +6,8 @@
 //! modulo 4. Integer only, no allocation, 8 KiB of probabilities on the stack.
 //!
 //! The stream has no end mark: the caller knows the unpacked length. There is exactly one packed
-//! form of each input: unpacking refuses bytes that are short, left over, or end in another state
-//! than [`pack`] leaves.
+//! form of each input: unpacking refuses bytes that are short, left over, lie outside the first interval, or
+//! end in another state than [`pack`] leaves.
 //! (Carry-propagating range coder as in the public-domain LZMA description, sections "range
 //! decoder" and "bit tree"; 11-bit probabilities, shift 4 for fast learning.)
 
@@ -143,7 +143,8 @@ impl Packer<'_> {
 ///
 /// # Errors
 /// [`ErrorKind::Short`] if the input ends too early to have been written by [`pack`] for this
-/// length, [`ErrorKind::Illegal`] for a first byte other than 0, a wrong end state or leftovers.
+/// length, [`ErrorKind::Illegal`] for a first byte other than 0, a code outside the first interval, a
+/// wrong end state or leftovers.
 pub fn unpack(packed: &[u8], out: &mut [u8]) -> Result<()> {
     let mut rest = packed;
     let mut take = || {
@@ -156,6 +157,8 @@ pub fn unpack(packed: &[u8], out: &mut [u8]) -> Result<()> {
     for _ in 0..4 {
         code = code << 8 | u32::from(take()?);
     }
+    // Below the range, as it then always is; no packer writes anything else.
+    in_range("pack.code", 1, code, 0, range - 1)?;
     let mut trees = EVEN;
     let mut model = Model::new(&mut trees);
     for target in out.iter_mut() {
@@ -267,6 +270,11 @@ mod tests {
         let mut other = bytes.clone();
         other[0] = 1;
         assert_eq!(refused(&other, &mut back), Err("pack.first"));
+        // Another five bytes of 0xff: a code at the end of the first interval comes to the same end.
+        let mut five = [0u8; 5];
+        let other = [0, 0xff, 0xff, 0xff, 0xff, 0xef, 0xff, 0xf0, 0];
+        assert_eq!(packed(&[0xff; 5]), [0, 0xff, 0xff, 0xff, 0xfe, 0xfe, 0xff, 0xf0, 0]);
+        assert_eq!(refused(&other, &mut five), Err("pack.code"));
         let mut other = bytes;
         *other.last_mut().unwrap() ^= 1;
         assert!(refused(&other, &mut back).is_err());

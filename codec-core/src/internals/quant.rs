@@ -115,13 +115,15 @@ impl Quantiser {
     /// A quantiser of `step` at level 3.
     ///
     /// # Errors
-    /// A step that is not finite or out of range, in billionths; or a ratio of 0.
+    /// A step that is not finite or out of range, in billionths rounded down (what is not a number as 0); or
+    /// a ratio of 0.
     pub fn new(step: f32, ratio: [u8; 3], predicted: bool) -> Result<Self> {
         let (low, high) = Self::STEP_RANGE;
         if !(step >= low && step <= high) {
-            let billionths = |v: f32| (f64::from(v) * 1e9 + 0.5) as u64;
-            let allowed = (billionths(low), billionths(high));
-            return Err(crate::Error::illegal("quantiser.step", 0, billionths(step), allowed));
+            // Rounded down, what is too small is below 1.
+            let billionths = (f64::from(step) * 1e9) as u64;
+            let allowed = (1, 1_000_000_000_000_000_000);
+            return Err(crate::Error::illegal("quantiser.step_billionths", 0, billionths, allowed));
         }
         for (i, r) in ratio.into_iter().enumerate() {
             in_range("quantiser.ratio", 4 + i, r, 1, u8::MAX)?;

@@ -2,7 +2,12 @@
 
 use std::{collections::BTreeSet, path::Path};
 
-use crate::tables::{Tables, same};
+use codec_core::{Error, ErrorKind};
+
+use crate::{
+    refused,
+    tables::{Tables, same},
+};
 
 /// Fields that the sources name in errors, and fields that the error table names.
 pub fn errors(tables: &Tables, found: &mut Vec<String>) {
@@ -30,6 +35,15 @@ pub fn errors(tables: &Tables, found: &mut Vec<String>) {
     for field in once.difference(&code) {
         found.push(format!("errors: {field} is in SPEC.md and not in the code"));
     }
+    for error in refused::errors() {
+        let (field, kind) = (error.field, error.kind.name());
+        let row = tables["errors"].iter().find(|row| row["fields"].split(' ').any(|listed| listed == field));
+        let listed = row.is_some_and(|row| row["kinds"].split(", ").any(|listed| listed == kind));
+        same(found, &format!("errors: {field} is {kind}"), listed || kind == "short", true);
+        if !is_at_odds(error) {
+            found.push(format!("errors: {error} says that what was found is allowed"));
+        }
+    }
     for row in &tables["errors"] {
         for kind in row["kinds"].split(", ").filter(|k| !k.is_empty()) {
             let known = tables["error kinds"].iter().any(|r| r["kind"] == kind);
@@ -38,10 +52,22 @@ pub fn errors(tables: &Tables, found: &mut Vec<String>) {
     }
 }
 
+/// Whether what was found is not what is allowed, or less than what is needed.
+fn is_at_odds(error: &Error) -> bool {
+    let Error { kind, found, allowed: (low, high), .. } = *error;
+    match kind {
+        ErrorKind::Short => found < low,
+        ErrorKind::Duplicate => found == low && found == high,
+        _ => found < low || found > high,
+    }
+}
+
 /// String literals outside tests and comments that look like field names.
 pub fn sources(folder: &Path, fields: &mut BTreeSet<String>) {
-    const WHOLE: [&str; 10] =
-        ["manifest", "packet", "slice", "extent", "chunk", "body", "pack", "receipt", "frame", "buffer"];
+    const WHOLE: [&str; 11] = [
+        "manifest", "packet", "slice", "extent", "chunk", "body", "pack", "receipt", "frame", "buffer",
+        "arena",
+    ];
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.is_dir() {

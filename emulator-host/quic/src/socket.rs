@@ -18,6 +18,7 @@ mod media_streams;
 pub mod message;
 mod per_address;
 mod playback;
+mod printable;
 mod round;
 mod scheme;
 mod screen;
@@ -44,6 +45,8 @@ pub use message::{Conditions, Granted, ViewerLink};
 pub(crate) use per_address::PerAddress;
 #[cfg(feature = "moq")]
 pub(crate) use playback::Playback;
+#[cfg(feature = "moq")]
+pub(crate) use printable::printable;
 pub use scheme::Scheme;
 pub use screen::{FrameShown, FrameSink, NullSink, PlayReport, RoundRequest};
 #[cfg(feature = "moq")]

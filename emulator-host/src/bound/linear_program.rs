@@ -6,7 +6,7 @@
 
 use crate::graph::{
     PacketGraph,
-    pieces::{Contribution, FrameSums, Pieces},
+    pieces::{Contribution, Division, FrameSums, Pieces},
 };
 
 /// Bytes that the link spends on every datagram beside the packet.
@@ -100,15 +100,15 @@ impl Multipliers {
 }
 
 impl LinearProgram {
-    /// Frames of `graph`, which consists of `pieces`, in slots of `slot_frames`. `capacity`: bytes that can
-    /// be there when a frame is shown.
+    /// Frames of `graph`, which `division` divides, in slots of `slot_frames`. `capacity`: bytes that can be
+    /// there when a frame is shown.
     pub(super) fn new(
         graph: &PacketGraph,
-        pieces: &Pieces,
+        division: &Division,
         slot_frames: u32,
         capacity: &dyn Fn(u32) -> f64,
     ) -> Self {
-        let sums = FrameSums::new(graph);
+        let Division { pieces, sums, .. } = division;
         let slots = graph.frames().div_ceil(slot_frames);
         let mut capacity: Vec<f64> =
             (1..=slots).map(|slot| capacity((slot * slot_frames).min(graph.frames()) - 1)).collect();
@@ -130,7 +130,7 @@ impl LinearProgram {
             for slot in 0..slots {
                 let start = (first + slot) as u32 * slot_frames;
                 for frame in start..(start + slot_frames).min(graph.frames()) {
-                    let net = net_gain(pieces, &sums, piece, frame);
+                    let net = net_gain(pieces, sums, piece, frame);
                     if net > 0.0 {
                         value[at + slot] += net;
                     } else if slot > 0 {

@@ -78,10 +78,11 @@ impl Cubic {
     fn avoid(&mut self, bytes: u64, rtt: &Rtt, now: Nanos) {
         let (start, rise) = match self.epoch {
             Some(epoch) => epoch,
+            // After persistent congestion the cubic starts from the window, with K = 0 (4.8).
             None => {
                 self.estimate = self.window;
-                self.most = self.most.max(self.window());
-                *self.epoch.insert((now, self.rise()))
+                self.most = self.window();
+                *self.epoch.insert((now, Nanos::ZERO))
             }
         };
         let since = now - start;
@@ -260,6 +261,19 @@ mod tests {
         let acked = Acked { bytes: DATAGRAM, sent_at: Nanos::from_s(20), app_limited: false };
         cubic.on_ack(acked, &round_trip(100), Nanos::from_s(20));
         assert!(cubic.window() < 72 * DATAGRAM, "{}", cubic.window());
+    }
+
+    /// Slow start ends at 70 segments; from there W_cubic(t) = 70 + 0.4 t³, whatever the window was before.
+    #[test]
+    fn rfc9438_4_8_after_persistent_congestion_the_cubic_starts_from_the_window() {
+        let mut cubic = reduced();
+        cubic.on_persistent_congestion();
+        cubic.window = cubic.threshold * PARTS;
+        let begin = Nanos::from_s(10);
+        let acked = Acked { bytes: DATAGRAM, sent_at: begin, app_limited: false };
+        cubic.on_ack(acked, &round_trip(100), begin);
+        assert_eq!((cubic.most, cubic.epoch), (70 * DATAGRAM, Some((begin, Nanos::ZERO))));
+        assert_eq!(cubic.cubic(Nanos::from_s(5), Nanos::ZERO), 120 * DATAGRAM);
     }
 
     #[test]

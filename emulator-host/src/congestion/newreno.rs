@@ -26,11 +26,6 @@ impl NewReno {
         }
     }
 
-    /// Slow-start threshold in bytes; `u64::MAX` before the first loss.
-    pub fn threshold(&self) -> u64 {
-        self.threshold
-    }
-
     fn in_recovery(&self, sent_at: Nanos) -> bool {
         self.recovery_start.is_some_and(|start| sent_at <= start)
     }

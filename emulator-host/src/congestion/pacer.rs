@@ -34,11 +34,6 @@ impl Pacer {
         self.rate = rate;
     }
 
-    /// The rate.
-    pub fn rate(&self) -> Rate {
-        self.rate
-    }
-
     /// Takes `bytes` that are sent at `now`.
     pub fn spend(&mut self, bytes: u64, now: Nanos) {
         self.refill(now);

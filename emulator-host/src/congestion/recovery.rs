@@ -94,7 +94,6 @@ pub struct Recovery {
     entry_credit: bool,
     app_limited: bool,
     source_limited: bool,
-    lost_packets: u64,
 }
 
 impl Recovery {
@@ -123,7 +122,6 @@ impl Recovery {
             entry_credit: false,
             app_limited: false,
             source_limited: false,
-            lost_packets: 0,
         }
     }
 
@@ -146,11 +144,6 @@ impl Recovery {
     /// UDP payload bytes in flight.
     pub fn in_flight(&self) -> u64 {
         self.in_flight
-    }
-
-    /// Packets declared lost so far.
-    pub fn lost_packets(&self) -> u64 {
-        self.lost_packets
     }
 
     /// Consecutive probe timeouts without an acknowledgement.
@@ -370,7 +363,6 @@ impl Recovery {
                     if !sent.eliciting {
                         continue;
                     }
-                    self.lost_packets += 1;
                     self.in_flight -= u64::from(sent.bytes);
                     self.eliciting_out -= 1;
                     lost_bytes += u64::from(sent.bytes);

@@ -5,10 +5,16 @@
 //! tenths at a loss; it grows by a datagram per round trip, faster the longer nothing was congested, and
 //! never far beyond what is really in flight: a source that sends little learns nothing of the path.
 //!
-//! Where it differs from the text: queue delay is that of the round trip less its smallest value in ten
-//! minutes, because receipts carry no times of arrival; it begins with the initial window of RFC 9002 and
-//! grows by what is acknowledged until the queue delay first passes half the target, or a loss; ECN is not
-//! modelled.
+//! Where it differs from the text (draft-ietf-ccwg-rfc8298bis-screamv2-01):
+//! - queue delay is that of the round trip less its smallest value in ten minutes, because receipts carry no
+//!   times of arrival;
+//! - it begins with the initial window of RFC 9002 and grows by what is acknowledged until the queue delay
+//!   first passes half the target, or a loss; its least window is that of RFC 9002, too;
+//! - losses take effect once per recovery period of RFC 9002;
+//! - the window does not grow while the average queue delay exceeds half the target; that delay holds back
+//!   growth by the window's own share as a loss does; and the average falls to a shorter delay at once;
+//! - a window that was not filled for a hundred round trips shrinks then, not at the next congestion;
+//! - ECN, and what the text has optionally against jitter, are not modelled.
 
 use std::collections::VecDeque;
 
@@ -18,7 +24,8 @@ use crate::clock::{Bytes, Nanos, Rate};
 /// Least and largest target of the queue delay.
 const TARGET_LOW: Nanos = Nanos::from_ms(60);
 const TARGET_HIGH: Nanos = Nanos::from_ms(400);
-/// Reactions to delay are no closer than this, or a round trip if that is shorter.
+/// Reactions to delay are no closer than this, or a round trip if that is shorter; over shorter round trips
+/// the window grows as slowly as over this one.
 const VIRTUAL_RTT: Nanos = Nanos::from_ms(25);
 /// What a loss leaves of the window.
 const BETA_LOSS: (u64, u64) = (7, 10);
@@ -30,8 +37,10 @@ const HEADROOM: (u64, u64) = (3, 2);
 const CALM_ROUNDS: u64 = 100;
 /// The share of the window by which it then grows per round trip, as 1/50.
 const MULTIPLICATIVE: u64 = 50;
-/// Round trips over which other flows are looked for.
+/// Round trips over which other flows are looked for: of so many the delay varies, and of the newest the mean
+/// is taken.
 const HISTORY: usize = 200;
+const HISTORY_OF_MEAN: usize = 50;
 /// The smallest round trip is taken over so many spans of a minute.
 const BASE_SPANS: usize = 10;
 const BASE_SPAN: Nanos = Nanos::from_s(60);
@@ -44,8 +53,9 @@ pub struct Scream {
     datagram: u64,
     /// Reference window in parts of a byte.
     reference: u64,
-    /// Reference window at the last congestion; bytes.
+    /// Reference window at the last congestion before which it had grown; bytes.
     inflexion: u64,
+    has_grown: bool,
     target: Nanos,
     base: BaseDelay,
     delay: Nanos,
@@ -70,6 +80,7 @@ impl Scream {
             datagram: datagram_bytes,
             reference: initial_window(datagram_bytes) * PARTS,
             inflexion: 1,
+            has_grown: true,
             target: TARGET_LOW,
             base: BaseDelay::default(),
             delay: Nanos::ZERO,
@@ -134,7 +145,16 @@ impl Scream {
     fn on_congested(&mut self, now: Nanos) {
         self.starting = false;
         self.congested_at = now;
-        self.inflexion = self.reference().max(1);
+        if std::mem::take(&mut self.has_grown) {
+            self.inflexion = self.reference().max(1);
+        }
+    }
+
+    /// How far the window is from that of the last congestion: from a tenth near it to all ([`PARTS`]) an
+    /// eighth away.
+    fn distance(&self) -> u64 {
+        let apart = self.reference().abs_diff(self.inflexion) * 8 * PARTS / self.inflexion;
+        (apart.min(PARTS).pow(2) / PARTS).max(PARTS / 10)
     }
 
     /// The queue grows: what was added in the last round trip was too much. The average would tell a round
@@ -155,25 +175,27 @@ impl Scream {
             self.reference += acked * PARTS;
             return;
         }
-        // A datagram per window acknowledged, less near the window of the last congestion.
+        // A datagram per window acknowledged.
         let window = self.reference().max(1);
-        let apart = window.abs_diff(self.inflexion) * 4 * PARTS / self.inflexion;
-        let caution = (apart.min(PARTS).pow(2) / PARTS).max(PARTS / 10);
         let additive = self.datagram * acked / window * PARTS;
-        let additive = (additive + self.datagram * acked % window * PARTS / window) * caution / PARTS;
+        let additive = additive + self.datagram * acked % window * PARTS / window;
         // The longer nothing was congested, the more by the window's own share.
-        let calm = rtt.smoothed().times(CALM_ROUNDS);
-        let share = (u128::from((now - self.congested_at).0) * u128::from(PARTS) / u128::from(calm.0.max(1)))
-            .min(u128::from(PARTS));
-        let own = acked * u64::try_from(share).unwrap_or(PARTS) / MULTIPLICATIVE;
-        self.reference += additive + own;
+        let distance = self.distance();
+        let share = u128::from((now - self.congested_at).0) * u128::from(PARTS) / u128::from(calm(rtt).0);
+        let share = u64::try_from(share).unwrap_or(PARTS).min(PARTS);
+        let own = acked * share / MULTIPLICATIVE * distance / PARTS;
+        // Less near the window of the last congestion, and over short round trips.
+        let slowed = u128::from((additive + own) * distance.max(PARTS / 4) / PARTS);
+        let slowed = slowed * u128::from(rtt.smoothed().min(VIRTUAL_RTT).0) / u128::from(VIRTUAL_RTT.0);
+        self.reference += u64::try_from(slowed).unwrap_or(0);
+        self.has_grown |= slowed > 0;
     }
 
     fn end_round(&mut self, rtt: &Rtt, now: Nanos) {
         let [this, last] = self.most_in_flight;
         let most = (self.datagram + this.max(last) * HEADROOM.0 / HEADROOM.1) * PARTS;
         // What was never filled for long is no measure of the path any more.
-        if now >= self.congested_at + rtt.smoothed().times(CALM_ROUNDS) && self.reference > most {
+        if now >= self.congested_at + calm(rtt) && self.reference > most {
             self.reduce_to(most.max(initial_window(self.datagram) * PARTS));
         }
         self.most_in_flight = [0, this];
@@ -245,6 +267,11 @@ impl Controller for Scream {
     }
 }
 
+/// How long after a congestion the window grows by its own share.
+fn calm(rtt: &Rtt) -> Nanos {
+    rtt.smoothed().max(VIRTUAL_RTT).times(CALM_ROUNDS)
+}
+
 /// The smallest round trip of the last ten minutes.
 #[derive(Clone, Debug, Default)]
 struct BaseDelay {
@@ -289,10 +316,12 @@ impl OtherFlows {
         if count < HISTORY as u64 / 10 {
             return before;
         }
+        let newest = self.rounds.iter().rev().take(HISTORY_OF_MEAN).map(|(parts, _)| parts);
+        let newest = newest.sum::<u64>() / count.min(HISTORY_OF_MEAN as u64);
         let mean = self.rounds.iter().map(|(parts, _)| parts).sum::<u64>() / count;
         let squares = self.rounds.iter().map(|(parts, _)| parts.abs_diff(mean).pow(2)).sum::<u64>();
         let variance = squares / count;
-        let wanted = Nanos((mean + variance.isqrt()) * (TARGET_LOW.0 / PARTS));
+        let wanted = Nanos((newest + variance.isqrt()) * (TARGET_LOW.0 / PARTS));
         // More than two round trips in a thousand with a loss.
         let losses = self.rounds.iter().filter(|(_, lost)| *lost).count() as u64;
         let target = if losses * 500 > count {

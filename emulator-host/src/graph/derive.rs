@@ -1,4 +1,4 @@
-//! Checks the parts of a graph, and derives what follows from them: order, closures, deadlines.
+//! Checks the parts of a graph, and derives what follows from them: closures, deadlines.
 
 use std::sync::OnceLock;
 
@@ -9,7 +9,7 @@ use super::{
     PacketIndex, csr::Csr,
 };
 impl PacketGraph {
-    /// Checks `parts` and derives order, closures and deadlines. Cost is linear in the size of all closures.
+    /// Checks `parts` and derives closures and deadlines. Cost is linear in the size of all closures.
     ///
     /// # Errors
     /// The first inconsistency found; see [`GraphError`].
@@ -75,7 +75,6 @@ fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
         level.push(groups.iter().map(|group| parts.groups[*group].level()).min().unwrap_or(0));
     }
     Ok(PacketGraph {
-        order: order.into_iter().map(GroupIndex).collect(),
         packet_ids: parts.packets.iter().map(|packet| packet.id).collect(),
         packet_bytes: parts.packets.iter().map(|packet| packet.wire_bytes).collect(),
         packet_groups,

@@ -39,7 +39,7 @@ impl Division {
 }
 
 impl FrameSums {
-    pub(crate) fn new(graph: &PacketGraph) -> Self {
+    fn new(graph: &PacketGraph) -> Self {
         let frames = graph.frames() as usize;
         let mut changes = vec![(0.0f64, 0i64); frames + 1];
         for group in graph.groups() {
@@ -66,7 +66,7 @@ impl FrameSums {
 }
 
 impl Pieces {
-    pub(crate) fn new(graph: &PacketGraph) -> Self {
+    fn new(graph: &PacketGraph) -> Self {
         let draft = match graph.profile() {
             ClosureRule::Sliced => sliced(graph),
             ClosureRule::AllOrNothing => whole_groups(graph),

@@ -141,6 +141,7 @@ impl Scheduler for DeadlineUtility {
 
     fn on_status(&mut self, graph: &PacketGraph, packet: PacketIndex, change: [PacketStatus; 2]) {
         self.plan.on_status(packet, graph.wire_bytes(packet), change);
+        self.opening.on_status(graph, packet, change);
         self.lost_since |= change[1] == PacketStatus::Waiting;
     }
 }

@@ -4,9 +4,11 @@ use crate::clock::Nanos;
 
 /// A frame of whose base less than this share is there shows no motion of its own.
 const MIN_BASE: f64 = 0.5;
-/// Frames without motion in a row are a freeze once they last longer than this and a frame. Source: the W3C's
-/// Identifiers for WebRTC's Statistics API, `freezeCount`.
+/// A picture is a freeze if it stands for so much longer than an interval, and for three intervals at least.
+/// Source: the W3C's Identifiers for WebRTC's Statistics API, `freezeCount`.
 const NOTICED: Nanos = Nanos::from_ms(150);
+/// Intervals beyond its own that it stands at least: it is shown for one, and again for each still frame.
+const LEAST_STILL: u64 = 2;
 
 /// The freezes of a playout, frame by frame. Playout never waits once it has begun: what has not come shows
 /// as a freeze.
@@ -15,13 +17,13 @@ const NOTICED: Nanos = Nanos::from_ms(150);
 /// use emulator_host::{Nanos, session::Freezes};
 ///
 /// let mut freezes = Freezes::new(Nanos::from_ms(40));
-/// [1.0, 0.2, 0.2, 0.2, 0.2, 0.2, 1.0].iter().for_each(|base| freezes.show(*base));
-/// assert_eq!((freezes.count(), freezes.frames()), (1, 5), "200 ms in a row");
+/// [1.0, 0.2, 0.2, 0.2, 0.2, 1.0].iter().for_each(|base| freezes.show(*base));
+/// assert_eq!((freezes.count(), freezes.frames()), (1, 4), "160 ms beyond the first picture's own 40");
 /// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Freezes {
-    /// Frames in a row that go unnoticed.
-    unnoticed: u64,
+    /// Frames without motion in a row that are a freeze.
+    noticed: u64,
     /// Frames without motion up to now.
     still: u64,
     count: u64,
@@ -31,16 +33,18 @@ pub struct Freezes {
 impl Freezes {
     /// None yet, where each frame is shown for `interval`.
     pub fn new(interval: Nanos) -> Self {
-        Self { unnoticed: NOTICED.0 / interval.0.max(1) + 1, still: 0, count: 0, frames: 0 }
+        // An interval is cut to whole nanoseconds: nine of a sixtieth of a second are 150 ms.
+        let noticed = NOTICED.0.div_ceil(interval.0.saturating_add(1)).max(LEAST_STILL);
+        Self { noticed, still: 0, count: 0, frames: 0 }
     }
 
     /// A frame is shown, and `base` of its base is there, 0 to 1.
     pub fn show(&mut self, base: f64) {
         self.still = if base < MIN_BASE { self.still + 1 } else { 0 };
-        if self.still == self.unnoticed + 1 {
+        if self.still == self.noticed {
             self.count += 1;
             self.frames += self.still;
-        } else if self.still > self.unnoticed {
+        } else if self.still > self.noticed {
             self.frames += 1;
         }
     }
@@ -69,9 +73,26 @@ mod tests {
                 .for_each(|base| freezes.show(base));
             (freezes.count(), freezes.frames())
         };
-        // A hole of five frames is none; ten and twenty are two.
-        assert_eq!(clip(std::slice::from_ref(&(5..10))), (0, 0));
-        assert_eq!(clip(&[5..10, 100..110, 400..420]), (2, 30));
+        // A hole of four frames is none; five, ten and twenty are three.
+        assert_eq!(clip(std::slice::from_ref(&(5..9))), (0, 0));
+        assert_eq!(clip(&[5..9, 20..25, 100..110, 400..420]), (3, 35));
         assert_eq!(clip(std::slice::from_ref(&(0..900))), (1, 900));
+    }
+
+    /// A picture and n frames without motion are (n + 1) intervals between pictures that move: a freeze from
+    /// max(3 intervals, an interval + 150 ms) on.
+    #[test]
+    fn a_freeze_is_as_long_as_the_w3c_has_it() {
+        for (per_second, least) in [(120, 18), (60, 9), (30, 5), (25, 4), (24, 4), (20, 3), (10, 2), (1, 2)] {
+            for interval in [1_000_000_000u64 / per_second, 1_000_000_000u64.div_ceil(per_second)] {
+                let count = |still: usize| {
+                    let mut freezes = Freezes::new(Nanos(interval));
+                    (0..still).for_each(|_| freezes.show(0.0));
+                    (freezes.count(), freezes.frames())
+                };
+                assert_eq!(count(least - 1), (0, 0), "{per_second} frames per second");
+                assert_eq!(count(least), (1, least as u64), "{per_second} frames per second");
+            }
+        }
     }
 }

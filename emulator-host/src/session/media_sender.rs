@@ -40,12 +40,9 @@ pub struct SendingRules {
     pub lookahead: Nanos,
     /// When playout starts.
     pub startup: Startup,
-    /// Times that one lost packet may be sent again.
+    /// Times that one lost packet of the base may be sent again, where the scheduler does not decide on lost
+    /// packets.
     pub retransmissions: u32,
-    /// Levels below this one are sent again; 1 = base only.
-    pub retransmit_levels: u8,
-    /// Whether canonical packets of every level are sent again too: motion of all windows stands on them.
-    pub retransmit_canonical: bool,
 }
 
 /// The sender of one clip to one receiver. `G` is a [`PacketGraph`] borrowed or shared (`&PacketGraph`,
@@ -347,12 +344,8 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             return;
         }
         let budget = u32::from(self.sent_times[packet.at()]) <= self.rules.retransmissions;
-        let facts = &self.graph.packets()[packet.at()];
-        let canonical = facts.groups.iter().any(|g| self.graph.groups()[g.at()].is_canonical());
-        let protected = facts.parity_of.is_none()
-            && (self.graph.level(packet) < self.rules.retransmit_levels
-                || (self.rules.retransmit_canonical && canonical));
-        if budget && protected && !expired {
+        let is_base = !self.is_parity(packet) && self.graph.level(packet) == 0;
+        if budget && is_base && !expired {
             self.again.push_back(packet);
         } else {
             self.set_status(packet, PacketStatus::Abandoned);

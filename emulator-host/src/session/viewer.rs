@@ -4,7 +4,7 @@
 
 use super::{
     SessionConfig, delivery_log::DeliveryLog, feedback::Reported, media_receiver::MediaReceiver,
-    media_sender::MediaSender, metrics::Metrics, viewer_path::ViewerPath,
+    media_sender::MediaSender, metrics::Metrics, threshold::Threshold, viewer_path::ViewerPath,
 };
 use crate::{
     clock::Nanos,
@@ -22,9 +22,7 @@ pub struct Viewer<'a> {
     receiver: MediaReceiver,
     metrics: Metrics<'a>,
     manifest: bool,
-    /// The groups that playout waits for, each with what it counts, and the share of them that is enough.
-    opening: Vec<(GroupIndex, f64)>,
-    share: Option<f64>,
+    threshold: Threshold,
     /// Bit `i % 64` of word `i / 64`: group `i` has been reported.
     reported_groups: Vec<u64>,
     recovered: Vec<PacketIndex>,
@@ -49,8 +47,7 @@ impl<'a> Viewer<'a> {
             receiver,
             metrics: Metrics::new(graph),
             manifest: false,
-            opening: config.startup.rule.opening(graph),
-            share: config.startup.rule.share(),
+            threshold: Threshold::new(config.startup.rule, graph),
             reported_groups: vec![0; graph.groups().len().div_ceil(64)],
             recovered: Vec::new(),
             news: DeliveryLog::default(),
@@ -97,14 +94,11 @@ impl<'a> Viewer<'a> {
 
     /// Starts playout if the threshold is reached or the wait is over; whether it starts now.
     pub fn start_if_ready(&mut self, now: Nanos) -> bool {
-        let (endpoint, opening) = (&mut self.endpoint, &self.opening);
-        let (manifest, share) = (self.manifest, self.share);
+        let (endpoint, threshold) = (&mut self.endpoint, &mut self.threshold);
+        let manifest = self.manifest;
         self.receiver.start_if_ready(now, || {
             let snapshot = endpoint.snapshot(0);
-            let total: f64 = opening.iter().map(|(_, weight)| weight).sum();
-            let there = opening.iter().filter(|(group, _)| snapshot.has_group(*group));
-            let usable: f64 = there.map(|(_, weight)| weight).sum();
-            manifest && share.is_some_and(|share| usable >= share * total)
+            manifest && threshold.is_reached(snapshot)
         })
     }
 

@@ -72,79 +72,124 @@ impl Summary {
     pub const EVERY_CONDITION: &str = "all";
 }
 
-/// Summarises `trials`, in the order of their numbers, against the scheduler called `baseline`.
-pub fn summary(trials: &[Trial], baseline: &str) -> Summary {
-    let mut conditions: Vec<&str> = Vec::new();
-    for trial in trials {
-        if !conditions.contains(&trial.condition.as_str()) {
-            conditions.push(&trial.condition);
-        }
-    }
-    let mut comparisons = compare(Summary::EVERY_CONDITION, trials.iter().collect(), baseline);
-    for condition in conditions {
-        let own = trials.iter().filter(|trial| trial.condition == condition).collect();
-        comparisons.extend(compare(condition, own, baseline));
-    }
-    Summary { baseline: baseline.to_owned(), simulations: trials.len() as u64, comparisons }
+/// What a summary needs of simulations, which are entered in the order of their numbers: some 200 bytes each
+/// while it is made.
+#[derive(Clone, Debug, Default)]
+pub struct Outcomes {
+    rows: Vec<Row>,
+    traces: Names<String>,
+    conditions: Names<String>,
+    /// Controllers and schedulers.
+    arms: Names<(String, String)>,
 }
 
-/// Controller and scheduler.
-type Arm<'a> = (&'a str, &'a str);
+/// One simulation; names by their places.
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    trace: u32,
+    condition: u32,
+    replicate: u32,
+    arm: u32,
+    startup_reached: bool,
+    values: [f64; COLUMNS.len()],
+}
+
+/// Different names in the order in which they came.
+#[derive(Clone, Debug, Default)]
+struct Names<N>(Vec<N>);
+
+impl<N> Names<N> {
+    /// The place of the name that `is` recognises; `new` makes it if it is not there.
+    fn place(&mut self, is: impl Fn(&N) -> bool, new: impl FnOnce() -> N) -> u32 {
+        // Simulations of one block follow each other, and so do blocks of one trace: the newest come first.
+        let found = self.0.iter().rposition(is);
+        let place = found.unwrap_or_else(|| {
+            self.0.push(new());
+            self.0.len() - 1
+        });
+        place as u32
+    }
+}
+
+impl Outcomes {
+    /// Enters a simulation.
+    pub fn push(&mut self, trial: &Trial) {
+        let arm = (trial.controller.as_str(), trial.scheduler.as_str());
+        let is_arm = |known: &(String, String)| (known.0.as_str(), known.1.as_str()) == arm;
+        let row = Row {
+            trace: self.traces.place(|name| *name == trial.trace, || trial.trace.clone()),
+            condition: self.conditions.place(|name| *name == trial.condition, || trial.condition.clone()),
+            replicate: trial.replicate,
+            arm: self.arms.place(is_arm, || (trial.controller.clone(), trial.scheduler.clone())),
+            startup_reached: trial.startup_reached,
+            values: COLUMNS.map(|(_, of)| of(trial)),
+        };
+        self.rows.push(row);
+    }
+
+    /// Summarises all, against the scheduler called `baseline`.
+    pub fn summary(&self, baseline: &str) -> Summary {
+        let all: Vec<&Row> = self.rows.iter().collect();
+        let mut comparisons = self.compare(Summary::EVERY_CONDITION, &all, baseline);
+        drop(all);
+        for (condition, name) in (0u32..).zip(&self.conditions.0) {
+            let own: Vec<&Row> = self.rows.iter().filter(|row| row.condition == condition).collect();
+            comparisons.extend(self.compare(name, &own, baseline));
+        }
+        Summary { baseline: baseline.to_owned(), simulations: self.rows.len() as u64, comparisons }
+    }
+
+    fn compare(&self, condition: &str, rows: &[&Row], baseline: &str) -> Vec<Comparison> {
+        let arms = &self.arms.0;
+        let traces = self.windows(rows);
+        let everything: Vec<&Window> = traces.iter().flatten().collect();
+        let means = mean_of(&everything);
+        let mut random = stream(0, "sweep/summary");
+        // Drawing from a single window gives that window again.
+        let draws = if everything.len() > 1 { RESAMPLES } else { 0 };
+        let drawn: Vec<Window> = (0..draws).map(|_| mean_of(&resample(&traces, &mut random))).collect();
+        let mut comparisons = Vec::new();
+        for (at, (controller, scheduler)) in arms.iter().enumerate() {
+            let is_base = |arm: &(String, String)| arm.0 == *controller && arm.1 == baseline;
+            let base = arms.iter().position(is_base).unwrap_or(at);
+            let own = || rows.iter().filter(|row| row.arm as usize == at);
+            let mut comparison = Comparison {
+                condition: condition.to_owned(),
+                controller: controller.clone(),
+                scheduler: scheduler.clone(),
+                simulations: own().count() as u64,
+                startup_not_reached: own().filter(|row| !row.startup_reached).count() as u64,
+                mean: BTreeMap::new(),
+                less_baseline: BTreeMap::new(),
+            };
+            for (column, (name, _)) in COLUMNS.iter().enumerate() {
+                let of = |arm: usize, window: &Window| window[arm * COLUMNS.len() + column];
+                let value = |window: &Window| of(at, window);
+                comparison.mean.insert(name, estimate(&means, &drawn, &value));
+                let difference = |window: &Window| of(at, window) - of(base, window);
+                comparison.less_baseline.insert(name, estimate(&means, &drawn, &difference));
+            }
+            comparisons.push(comparison);
+        }
+        comparisons
+    }
+
+    /// The windows of each trace, by its name, each the mean over its conditions. Simulations of one block
+    /// follow each other, so a block is full when all arms have been entered.
+    fn windows(&self, rows: &[&Row]) -> Vec<Vec<Window>> {
+        let mut by_trace: BTreeMap<&str, BTreeMap<u32, Vec<Window>>> = BTreeMap::new();
+        for block in rows.chunks(self.arms.0.len().max(1)) {
+            let window = block.iter().flat_map(|row| row.values).collect();
+            let trace = by_trace.entry(&self.traces.0[block[0].trace as usize]).or_default();
+            trace.entry(block[0].replicate).or_default().push(window);
+        }
+        let over_conditions = |conditions: &Vec<Window>| mean_of(&conditions.iter().collect::<Vec<_>>());
+        by_trace.values().map(|windows| windows.values().map(over_conditions).collect()).collect()
+    }
+}
+
 /// What one window of one trace gave: for each arm and column a value.
 type Window = Vec<f64>;
-
-fn compare(condition: &str, trials: Vec<&Trial>, baseline: &str) -> Vec<Comparison> {
-    let mut arms: Vec<Arm<'_>> = Vec::new();
-    for trial in &trials {
-        let arm = (trial.controller.as_str(), trial.scheduler.as_str());
-        if !arms.contains(&arm) {
-            arms.push(arm);
-        }
-    }
-    let traces = windows(&trials, &arms);
-    let everything: Vec<&Window> = traces.iter().flatten().collect();
-    let means = mean_of(&everything);
-    let mut random = stream(0, "sweep/summary");
-    // Drawing from a single window gives that window again.
-    let draws = if everything.len() > 1 { RESAMPLES } else { 0 };
-    let drawn: Vec<Window> = (0..draws).map(|_| mean_of(&resample(&traces, &mut random))).collect();
-    let mut comparisons = Vec::new();
-    for (at, (controller, scheduler)) in arms.iter().enumerate() {
-        let base = arms.iter().position(|arm| *arm == (*controller, baseline)).unwrap_or(at);
-        let own = || trials.iter().filter(|t| (t.controller.as_str(), t.scheduler.as_str()) == arms[at]);
-        let mut comparison = Comparison {
-            condition: condition.to_owned(),
-            controller: (*controller).to_owned(),
-            scheduler: (*scheduler).to_owned(),
-            simulations: own().count() as u64,
-            startup_not_reached: own().filter(|trial| !trial.startup_reached).count() as u64,
-            mean: BTreeMap::new(),
-            less_baseline: BTreeMap::new(),
-        };
-        for (column, (name, _)) in COLUMNS.iter().enumerate() {
-            let of = |arm: usize, window: &Window| window[arm * COLUMNS.len() + column];
-            let value = |window: &Window| of(at, window);
-            comparison.mean.insert(name, estimate(&means, &drawn, &value));
-            let difference = |window: &Window| of(at, window) - of(base, window);
-            comparison.less_baseline.insert(name, estimate(&means, &drawn, &difference));
-        }
-        comparisons.push(comparison);
-    }
-    comparisons
-}
-
-/// The windows of each trace, each the mean over its conditions. Simulations of one block follow each other,
-/// so a block is full when all arms have been entered.
-fn windows(trials: &[&Trial], arms: &[Arm<'_>]) -> Vec<Vec<Window>> {
-    let mut by_trace: BTreeMap<&str, BTreeMap<u32, Vec<Window>>> = BTreeMap::new();
-    for block in trials.chunks(arms.len().max(1)) {
-        let window = block.iter().flat_map(|trial| COLUMNS.map(|(_, of)| of(trial))).collect();
-        let trace = by_trace.entry(block[0].trace.as_str()).or_default();
-        trace.entry(block[0].replicate).or_default().push(window);
-    }
-    let over_conditions = |conditions: &Vec<Window>| mean_of(&conditions.iter().collect::<Vec<_>>());
-    by_trace.values().map(|windows| windows.values().map(over_conditions).collect()).collect()
-}
 
 fn resample<'a>(traces: &'a [Vec<Window>], random: &mut RandomStream) -> Vec<&'a Window> {
     let mut sample = Vec::new();
@@ -203,6 +248,12 @@ mod tests {
             }
         }
         trials
+    }
+
+    fn summary(trials: &[Trial], baseline: &str) -> Summary {
+        let mut outcomes = Outcomes::default();
+        trials.iter().for_each(|trial| outcomes.push(trial));
+        outcomes.summary(baseline)
     }
 
     fn difference(blocks: &[(usize, f64, f64)]) -> Estimate {

@@ -2,13 +2,13 @@
 //!
 //! The file has `camera_angle_x` (radians) or `fl_x`/`fl_y`/`cx`/`cy` (pixels), optionally `w` and `h`, and a
 //! list of `frames`, each with `file_path`, `transform_matrix` (camera-to-world, OpenGL axes) and, in dynamic
-//! sets, `time`. A frame may override any of the image's numbers. A lens that distorts (`k1` to `k4`, `p1`,
-//! `p2`, or a `camera_model` that is not a pinhole) is refused. Fields we do not know are skipped. Memory is
+//! sets, `time`. A frame may override any of the image's numbers, angles and focal lengths together. A lens
+//! that distorts (`k1` to `k4`, `p1`, `p2`, or a `camera_model` that is not a pinhole) is refused. Fields we do not know are skipped. Memory is
 //! bounded by the length of the text.
 
 use serde::Deserialize;
 
-use super::{Camera, CameraError, Intrinsics, View};
+use super::{Camera, CameraError, FIELD_OF_VIEW, Intrinsics, View, in_range};
 
 /// What the file or one of its frames says of the image plane and the lens.
 #[derive(Clone, Default, Deserialize)]
@@ -64,28 +64,38 @@ pub fn read(bytes: &[u8], size: Option<(u32, u32)>) -> Result<Vec<View>, CameraE
         column: e.column(),
         message: e.to_string(),
     })?;
-    let view = |frame: Frame| {
+    let view = |(index, frame): (usize, Frame)| {
         let optics = frame.optics.or(&file.optics);
         let camera = optics
             .undistorted(&frame.file_path)
             .and_then(|()| optics.intrinsics(size))
             .and_then(|intrinsics| Camera::from_opengl(frame.transform_matrix, intrinsics))
-            .map_err(|e| e.of(&frame.file_path))?;
+            .map_err(|e| match frame.file_path.as_str() {
+                "" => e.of(&format!("frame {index}, which has no file_path")),
+                name => e.of(name),
+            })?;
         Ok(View { name: frame.file_path, time: frame.time, camera })
     };
-    file.frames.into_iter().map(view).collect()
+    file.frames.into_iter().enumerate().map(view).collect()
 }
 
 impl Optics {
-    /// Own numbers first, then those of `other`.
+    /// Own numbers first, then those of `other`. Angles and focal lengths say the same: where there is one of
+    /// them, none is taken from `other`.
     fn or(self, other: &Self) -> Self {
+        let own = [self.camera_angle_x, self.camera_angle_y, self.fl_x, self.fl_y];
+        let [camera_angle_x, camera_angle_y, fl_x, fl_y] = if own == [None; 4] {
+            [other.camera_angle_x, other.camera_angle_y, other.fl_x, other.fl_y]
+        } else {
+            own
+        };
         Self {
-            camera_angle_x: self.camera_angle_x.or(other.camera_angle_x),
-            camera_angle_y: self.camera_angle_y.or(other.camera_angle_y),
+            camera_angle_x,
+            camera_angle_y,
             w: self.w.or(other.w),
             h: self.h.or(other.h),
-            fl_x: self.fl_x.or(other.fl_x),
-            fl_y: self.fl_y.or(other.fl_y),
+            fl_x,
+            fl_y,
             cx: self.cx.or(other.cx),
             cy: self.cy.or(other.cy),
             camera_model: self.camera_model.or_else(|| other.camera_model.clone()),
@@ -123,9 +133,15 @@ impl Optics {
         };
         let width = side(self.w, size.map(|s| s.0))?;
         let height = side(self.h, size.map(|s| s.1))?;
-        let from_angle = |side: u32, angle: f64| 0.5 * f64::from(side) / (0.5 * angle).tan();
-        let fx = self.fl_x.or(self.camera_angle_x.map(|a| from_angle(width, a)));
-        let fy = self.fl_y.or(self.camera_angle_y.map(|a| from_angle(height, a)));
+        let focal = |own: Option<f64>, field, angle: Option<f64>, side: u32| match (own, angle) {
+            (None, Some(angle)) => {
+                in_range(field, angle, FIELD_OF_VIEW)?;
+                Ok(Some(0.5 * f64::from(side) / (0.5 * angle).tan()))
+            }
+            (own, _) => Ok(own),
+        };
+        let fx = focal(self.fl_x, "camera_angle_x (radians)", self.camera_angle_x, width)?;
+        let fy = focal(self.fl_y, "camera_angle_y (radians)", self.camera_angle_y, height)?;
         // Pixels are square unless the file says otherwise.
         let (Some(fx), Some(fy)) = (fx.or(fy), fy.or(fx)) else {
             return Err(CameraError::FocalLengthUnknown);
@@ -172,7 +188,36 @@ mod tests {
         assert!(error.contains("./train/r_000: rotation differs"), "{error}");
         let missing = r#"{"frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}"#;
         let error = read(missing.as_bytes(), Some((8, 8))).unwrap_err().to_string();
-        assert!(error.contains("no focal length: camera_angle_x"), "{error}");
+        assert!(
+            error.starts_with("frame 0, which has no file_path: no focal length: camera_angle_x"),
+            "{error}"
+        );
+        for angle in ["39.6", "90", "0", "-0.7"] {
+            let text = TEXT.replace("0.6911112070083618", angle);
+            let error = read(text.as_bytes(), Some((8, 8))).unwrap_err().to_string();
+            assert!(error.contains(&format!("camera_angle_x (radians) is {angle}; ")), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_frame_may_have_a_lens_of_its_own() {
+        let focal = |file: &str, frame: &str| {
+            let text = format!(
+                r#"{{{file}, "frames": [{{"file_path": "a", {frame}, "transform_matrix":
+                [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}}]}}"#
+            );
+            let own = read(text.as_bytes(), Some((200, 100))).unwrap()[0].camera.intrinsics();
+            [own.fx, own.fy]
+        };
+        let half = 100.0 / 0.25f64.tan();
+        for (file, frame, expected) in [
+            (r#""fl_x": 100"#, r#""camera_angle_x": 0.5"#, [half; 2]),
+            (r#""camera_angle_x": 0.5"#, r#""fl_x": 30, "fl_y": 40"#, [30.0, 40.0]),
+            (r#""fl_x": 50, "fl_y": 60"#, r#""time": 0"#, [50.0, 60.0]),
+            (r#""fl_x": 50, "camera_angle_x": 700"#, r#""time": 0"#, [50.0; 2]),
+        ] {
+            assert_eq!(focal(file, frame), expected, "{file} {frame}");
+        }
     }
 
     #[test]

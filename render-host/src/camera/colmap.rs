@@ -29,10 +29,20 @@ const NAME_BYTES: usize = 4096;
 /// Bytes that are short, a model we do not know or whose lens distorts, an image that names a camera that is
 /// not there, a camera that cannot be rendered from, bytes left over. Each error says where.
 pub fn read(cameras: &[u8], images: &[u8], format: Format) -> Result<Vec<View>, CameraError> {
-    let mut views = match format {
-        Format::Binary => read_images(images, &read_cameras(cameras)?)?,
-        Format::Text => text::read_images(images, &text::read_cameras(cameras)?)?,
+    let [cameras_file, images_file] = match format {
+        Format::Binary => ["cameras.bin", "images.bin"],
+        Format::Text => ["cameras.txt", "images.txt"],
     };
+    let cameras = match format {
+        Format::Binary => read_cameras(cameras),
+        Format::Text => text::read_cameras(cameras),
+    };
+    let cameras = cameras.map_err(|error| error.of(cameras_file))?;
+    let views = match format {
+        Format::Binary => read_images(images, &cameras),
+        Format::Text => text::read_images(images, &cameras),
+    };
+    let mut views = views.map_err(|error| error.of(images_file))?;
     views.sort_by(|a, b| a.name.cmp(&b.name));
     Ok(views)
 }
@@ -51,6 +61,7 @@ fn read_cameras(bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, CameraError> 
     let count = cursor.count("number of cameras", CAMERA_BYTES)?;
     let mut cameras = BTreeMap::new();
     for _ in 0..count {
+        let start = cursor.at;
         let id = cursor.u32("camera id")?;
         let at = cursor.at;
         let number = cursor.u32("camera model")?;
@@ -64,9 +75,13 @@ fn read_cameras(bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, CameraError> 
         for parameter in &mut parameters[..count] {
             *parameter = cursor.f64("camera parameter")?;
         }
-        cameras.insert(id, model.intrinsics(id, size, &parameters)?);
+        if cameras.insert(id, model.intrinsics(id, size, &parameters)?).is_some() {
+            let (field, found) = ("camera id", u64::from(id));
+            let allowed = "an id that no camera before has";
+            return Err(CameraError::Field { field, offset: start, found, allowed });
+        }
     }
-    cursor.finish("cameras.bin")?;
+    cursor.finish()?;
     Ok(cameras)
 }
 
@@ -92,7 +107,7 @@ fn read_images(bytes: &[u8], cameras: &BTreeMap<u32, Intrinsics>) -> Result<Vec<
         };
         views.push(view(name, pose, *intrinsics)?);
     }
-    cursor.finish("images.bin")?;
+    cursor.finish()?;
     Ok(views)
 }
 
@@ -163,13 +178,13 @@ impl<'a> Cursor<'a> {
         Ok(String::from_utf8_lossy(&window[..end]).into_owned())
     }
 
-    fn finish(&self, file: &'static str) -> Result<(), CameraError> {
+    fn finish(&self) -> Result<(), CameraError> {
         let found = (self.bytes.len() - self.at) as u64;
         if found == 0 {
             return Ok(());
         }
-        let allowed = "0 bytes after the last record";
-        Err(CameraError::Field { field: file, offset: self.at, found, allowed })
+        let (field, allowed) = ("number of bytes after the last record", "0");
+        Err(CameraError::Field { field, offset: self.at, found, allowed })
     }
 }
 
@@ -252,10 +267,18 @@ mod tests {
         check(&pinhole[..60], &[], "camera parameter at byte 56: 4 bytes left, 8 needed");
         check(&good[..50], &[], "number of cameras at byte 0: 42 bytes left, 48 needed");
         check(&u64::MAX.to_le_bytes(), &[], "number of cameras at byte 0: 0 bytes left");
-        check(&good, &images_bin(8, &["x"]), "x: image's camera id at byte 68 is 8");
+        let mut twice = good.clone();
+        twice[0] = 2;
+        twice.extend_from_slice(&good[8..]);
+        check(
+            &twice,
+            &[],
+            "cameras.bin: camera id at byte 56 is 7; an id that no camera before has is allowed",
+        );
+        check(&good, &images_bin(8, &["x"]), "images.bin: x: image's camera id at byte 68 is 8");
         let mut long = good.clone();
         long.push(0);
-        check(&long, &[], "cameras.bin at byte 56 is 1; 0 bytes after the last record");
+        check(&long, &[], "cameras.bin: number of bytes after the last record at byte 56 is 1; 0 is allowed");
         check(&cameras_bin(0, &[f64::NAN, 1.0, 1.0]), &images_bin(7, &["x"]), "x: fx is NaN");
     }
 

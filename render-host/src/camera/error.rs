@@ -111,7 +111,7 @@ pub enum CameraError {
         allowed: &'static str,
     },
     /// Neither the file nor the caller says how large the images are.
-    #[error("the file has no w and h; pass the size of its images")]
+    #[error("the file has no w and h: the width and height of its images must be given")]
     SizeUnknown,
     /// Nothing says how long the lens is.
     #[error("no focal length: camera_angle_x, camera_angle_y, fl_x or fl_y is needed")]

@@ -96,6 +96,10 @@ fn bad_numbers_are_named() {
     assert!(error.starts_with("K[0][1] is 0.1"), "{error}");
     let up = [0.0, 0.0, 2.0];
     assert!(Camera::look_at([0.0; 3], [0.0, 0.0, 1.0], up, 1.0, 8, 8).is_err());
+    for (field, eye, target) in [("eye", 1e200, 0.0), ("target", 0.0, f64::NAN), ("eye", -1e16, 1.0)] {
+        let error = Camera::look_at([eye, 0.0, 0.0], [target, 0.0, 0.0], [0.0, 1.0, 0.0], 1.0, 8, 8);
+        assert!(matches!(error, Err(CameraError::Range { field: found, .. }) if found == field), "{error:?}");
+    }
     assert!(Camera::from_colmap([0.0; 4], [0.0; 3], good).is_err());
 }
 

@@ -32,16 +32,10 @@ pub struct DeviceFacts {
     pub api: String,
     /// True for an adapter that is no graphics card: lavapipe, SwiftShader, WARP.
     pub is_cpu: bool,
-    /// Smallest and largest subgroup, lanes.
-    pub subgroup: [u32; 2],
     /// Largest storage binding, bytes.
     pub max_binding_bytes: u64,
     /// Largest buffer, bytes.
     pub max_buffer_bytes: u64,
-    /// Device memory, bytes; `None` where the API does not say.
-    pub memory_bytes: Option<u64>,
-    /// Whether the driver tells how much of it is free.
-    pub has_memory_budget: bool,
     /// Whether stages can be timed on the device.
     pub has_timestamps: bool,
 }
@@ -138,16 +132,12 @@ impl Device {
                 *slot = Some(named("frame", &error));
             }
         }));
-        let memory = vulkan::memory(&raw);
         let facts = DeviceFacts {
             driver: format!("{} {}", info.driver, info.driver_info),
             api: format!("{:?}", info.backend),
             is_cpu: info.device_type == wgpu::DeviceType::Cpu,
-            subgroup: [info.subgroup_min_size, info.subgroup_max_size],
             max_binding_bytes,
             max_buffer_bytes,
-            memory_bytes: memory.map(|m| m.total),
-            has_memory_budget: memory.is_some_and(|m| m.has_budget),
             has_timestamps: raw.features().contains(wgpu::Features::TIMESTAMP_QUERY),
             name: info.name,
         };
@@ -162,7 +152,7 @@ impl Device {
     /// Device memory this process may still take, bytes: the driver's budget where it has one, else the
     /// size of the device's heaps; `None` where the API says neither.
     pub fn free_memory_bytes(&self) -> Option<u64> {
-        vulkan::memory(&self.raw).map(|m| m.free)
+        vulkan::free_memory(&self.raw)
     }
 
     /// The wgpu device.
@@ -199,7 +189,18 @@ impl Device {
         for scope in scopes.into_iter().rev() {
             first = first.or(pollster::block_on(scope.pop()));
         }
-        first.map_or(Ok(made), |error| Err(named(what, &error)))
+        first.map_or(Ok(made), |error| Err(self.named(what, &error)))
+    }
+
+    /// As [`named`], with what is free where that was too little.
+    #[cfg(not(target_family = "wasm"))]
+    fn named(&self, what: &'static str, error: &wgpu::Error) -> GpuError {
+        match named(what, error) {
+            GpuError::OutOfMemory { what, message, .. } => {
+                GpuError::OutOfMemory { what, free: self.free_memory_bytes(), message }
+            }
+            other => other,
+        }
     }
 
     /// The first error of the frames so far that no call returned, once.
@@ -294,7 +295,7 @@ impl Device {
 fn named(what: &'static str, error: &wgpu::Error) -> GpuError {
     let message = error.to_string();
     match error {
-        wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory { what, message },
+        wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory { what, free: None, message },
         _ => GpuError::Refused { what, message },
     }
 }

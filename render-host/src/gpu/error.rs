@@ -40,10 +40,12 @@ pub enum GpuError {
         allowed: u64,
     },
     /// The device has no memory left.
-    #[error("{what}: out of device memory ({message})")]
+    #[error("{what}: out of device memory{} ({message})", left(*free))]
     OutOfMemory {
         /// Which buffer or step.
         what: &'static str,
+        /// Bytes that were free after the refusal, where the driver says so.
+        free: Option<u64>,
         /// What the driver said.
         message: String,
     },
@@ -95,6 +97,10 @@ pub enum GpuError {
     /// The image could not be made.
     #[error(transparent)]
     Image(#[from] ImageError),
+}
+
+fn left(free: Option<u64>) -> String {
+    free.map_or(String::new(), |bytes| format!(", of which {} MiB are free", bytes >> 20))
 }
 
 fn named(wanted: &str) -> String {

@@ -10,10 +10,10 @@ use ash::vk;
 #[cfg(not(any(target_vendor = "apple", target_family = "wasm")))]
 use wgpu::hal::api::Vulkan;
 
-/// Device memory that is free for this process and that there is in all, bytes, summed over heaps on the
-/// device. From `VK_EXT_memory_budget` where the driver has it, else heap sizes alone.
+/// Memory on the device that this process may still take, bytes, summed over its heaps: of
+/// `VK_EXT_memory_budget` where the driver has it, else the size of the heaps.
 #[cfg(not(any(target_vendor = "apple", target_family = "wasm")))]
-pub(super) fn memory(device: &wgpu::Device) -> Option<Memory> {
+pub(super) fn free_memory(device: &wgpu::Device) -> Option<u64> {
     // SAFETY: the guard keeps the device alive, nothing raw outlives it, and no handle is destroyed.
     let hal = unsafe { device.as_hal::<Vulkan>() }?;
     let (physical, instance) = (hal.raw_physical_device(), hal.shared_instance().raw_instance());
@@ -31,27 +31,21 @@ pub(super) fn memory(device: &wgpu::Device) -> Option<Memory> {
     // SAFETY: the structures are initialised and chained only where the extension is there.
     unsafe { instance.get_physical_device_memory_properties2(physical, &mut properties) };
     let heaps = properties.memory_properties;
-    let local = |flags: vk::MemoryHeapFlags| flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL);
-    let on_device: Vec<usize> =
-        (0..heaps.memory_heap_count as usize).filter(|&i| local(heaps.memory_heaps[i].flags)).collect();
-    let total = on_device.iter().map(|&i| heaps.memory_heaps[i].size).sum();
-    let free = |&i: &usize| budget.heap_budget[i].saturating_sub(budget.heap_usage[i]);
-    let free = if has_budget { on_device.iter().map(free).sum() } else { total };
-    Some(Memory { total, free, has_budget })
+    let local = |i: &usize| heaps.memory_heaps[*i].flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL);
+    let free = |i: usize| {
+        if has_budget {
+            budget.heap_budget[i].saturating_sub(budget.heap_usage[i])
+        } else {
+            heaps.memory_heaps[i].size
+        }
+    };
+    Some((0..heaps.memory_heap_count as usize).filter(local).map(free).sum())
 }
 
 /// Neither Metal nor a browser says.
 #[cfg(any(target_vendor = "apple", target_family = "wasm"))]
-pub(super) fn memory(_: &wgpu::Device) -> Option<Memory> {
+pub(super) fn free_memory(_: &wgpu::Device) -> Option<u64> {
     None
-}
-
-/// Memory of a device, bytes.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Memory {
-    pub(super) total: u64,
-    pub(super) free: u64,
-    pub(super) has_budget: bool,
 }
 
 /// A shader module without run-time bounds checks and loop bounds.

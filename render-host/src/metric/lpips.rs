@@ -109,7 +109,8 @@ impl Lpips {
         Ok(Self { layers: [layer(0)?, layer(1)?, layer(2)?, layer(3)?, layer(4)?] })
     }
 
-    /// Distance of `test` from `reference`: 0 for equal images, about 0.7 for unrelated ones.
+    /// Distance of `test` from `reference`: 0 for equal images, about 0.7 for unrelated ones; NaN where one
+    /// holds a NaN.
     ///
     /// # Errors
     /// Different sizes, or a side below 31 pixels.
@@ -119,6 +120,10 @@ impl Lpips {
         if side < SMALLEST_SIDE {
             let (field, found) = ("side of an image for LPIPS", side.to_string());
             return Err(ImageError::Range { field, found, allowed: "31 or more" });
+        }
+        // What is cut off at 0 on the way would make a NaN one.
+        if [test, reference].iter().any(|image| image.rgb().iter().any(|value| value.is_nan())) {
+            return Ok(f64::NAN);
         }
         let (mut a, mut b) = (Features::of(test), Features::of(reference));
         let mut sum = 0.0;
@@ -340,6 +345,17 @@ mod tests {
             }
         }
         out
+    }
+
+    #[test]
+    fn a_picture_with_nan_is_not_perfect() {
+        let lpips = Lpips::from_safetensors(&file(None)).unwrap();
+        let (whole, mut broken) = (picture(40, 40, 1), picture(40, 40, 1));
+        assert_eq!(lpips.distance(&whole, &broken).unwrap(), 0.0);
+        broken.rgb_mut()[700] = f32::NAN;
+        for (test, reference) in [(&whole, &broken), (&broken, &whole), (&broken, &broken)] {
+            assert!(lpips.distance(test, reference).unwrap().is_nan());
+        }
     }
 
     #[test]

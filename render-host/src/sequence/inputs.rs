@@ -2,7 +2,6 @@
 
 use codec_core::Gaussian;
 
-use super::changes::Changes;
 use crate::{
     Counters, Splats,
     camera::Camera,
@@ -69,8 +68,6 @@ pub(super) struct Inputs {
     weighed: Vec<u8>,
     fates: Vec<Option<Skip>>,
     counts: Vec<Counters>,
-    /// Candidates, where the caller says which.
-    marked: Vec<bool>,
     /// Splats that changed.
     flags: Vec<bool>,
     changes: Vec<Vec<Change>>,
@@ -95,11 +92,9 @@ struct Chunk<'a> {
 impl Inputs {
     /// Takes in the next frame and brings `out`, the projection of the frame before, up to it. All is new
     /// if `fresh`; what did not change is projected again unless `keep`.
-    #[expect(clippy::too_many_arguments, reason = "one caller")]
     pub(super) fn update(
         &mut self,
         splats: &Splats,
-        changes: Changes<'_>,
         camera: &Camera,
         settings: &Settings,
         fresh: bool,
@@ -114,20 +109,8 @@ impl Inputs {
             out.keys.clear();
             out.keys.resize(n, SKIPPED);
         }
-        let marked = match changes {
-            Changes::Within(ranges) if !fresh => {
-                self.marked.clear();
-                self.marked.resize(n, false);
-                for range in ranges {
-                    let (start, end) = (range.start.min(n), range.end.min(n));
-                    self.marked[start..end.max(start)].fill(true);
-                }
-                Some(&self.marked)
-            }
-            _ => None,
-        };
         let projector = Projector::new(camera, settings, settings.degree(splats.sh_degree()));
-        let frame = Frame { splats, projector, marked: marked.map(Vec::as_slice), fresh, keep };
+        let frame = Frame { splats, projector, fresh, keep };
         let mut rest = self.rest.as_mut_slice();
         let parts = self.gaussians.chunks_mut(CHUNK).zip(self.degrees.chunks_mut(CHUNK));
         let parts = parts.zip(self.weighed.chunks_mut(CHUNK)).zip(self.fates.chunks_mut(CHUNK));
@@ -204,7 +187,6 @@ impl Inputs {
 struct Frame<'a> {
     splats: &'a Splats<'a>,
     projector: Projector<'a>,
-    marked: Option<&'a [bool]>,
     fresh: bool,
     keep: bool,
 }
@@ -221,8 +203,7 @@ impl Frame<'_> {
         let each = chunk.rest.len() / n.max(1);
         for i in 0..n {
             let index = first + i;
-            let looked_at = self.fresh || self.marked.is_none_or(|marked| marked[index]);
-            let altered = looked_at && self.take(index, i, each, chunk);
+            let altered = self.take(index, i, each, chunk);
             if !altered && self.keep {
                 continue;
             }

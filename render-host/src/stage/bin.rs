@@ -82,7 +82,7 @@ impl Bins {
         spans.map(|span| u64::from(span.past - span.first)).sum()
     }
 
-    /// Tiles of the band in the boxes of all splats: entries there would be without exact bounds.
+    /// Tiles of the band in the boxes of the splats looked at: entries there would be without exact bounds.
     pub fn boxed(&self) -> u64 {
         self.pieces.iter().map(|piece| piece.boxed).sum()
     }
@@ -229,8 +229,8 @@ fn fill(
             });
             at += HEAD;
         }
-        // What was never looked at has no boxes.
-        pieces[at.min(count)..].iter_mut().for_each(|piece| piece.boxed = 0);
+        // What was never looked at has neither spans nor boxes, whatever it held for another band or picture.
+        pieces[at.min(count)..].iter_mut().for_each(|piece| piece.forget(rows.len()));
         rows.iter_mut().zip(open).for_each(|(row, open)| row.hold(&open.lists));
         return;
     }
@@ -294,6 +294,13 @@ impl Piece {
     /// Spans in row `row` of the band, nearest first.
     fn row(&self, row: usize) -> &[Span] {
         &self.by_row[self.starts[row]..self.starts[row + 1]]
+    }
+
+    /// Holds no span in any of `rows` rows.
+    fn forget(&mut self, rows: usize) {
+        self.found.clear();
+        self.boxed = 0;
+        self.sort_by_row(rows);
     }
 
     fn sort_by_row(&mut self, rows: usize) {

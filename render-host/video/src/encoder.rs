@@ -26,8 +26,9 @@ const PICTURES_PER_KEY: (u64, f64) = (12, 240.0);
 const TILE_PIXELS: usize = 256 * 256;
 /// The most tiles of a picture.
 const MAX_TILES: usize = 16;
-/// The shortest and longest side that the encoder takes, pixels.
-const SIDES: (u32, u32) = (16, 65_534);
+/// The shortest and longest side of pictures that become a video, pixels: the encoder takes 16 and more, and
+/// an odd side gets one more.
+const SIDES: (u32, u32) = (15, 65_534);
 
 /// An encoder that has pictures to give back.
 pub struct Encoder {
@@ -87,8 +88,7 @@ fn failed(status: EncoderStatus) -> VideoError {
 /// Refuses pictures that the encoder does not take.
 pub fn check_size((width, height): (u32, u32)) -> Result<(), VideoError> {
     let (least, most) = SIDES;
-    // An odd side gets one more.
-    let allowed = least - 1..=most;
+    let allowed = least..=most;
     if !allowed.contains(&width) || !allowed.contains(&height) {
         return Err(VideoError::Size { width, height, least, most });
     }

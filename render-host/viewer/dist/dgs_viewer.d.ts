@@ -240,10 +240,6 @@ export class Decoder {
      */
     readonly base_timeout: number;
     /**
-     * A number that changes with what is shown, but for the frame.
-     */
-    readonly content: number;
-    /**
      * What of the file, as far as it is there, could not be used; empty for a whole one.
      */
     readonly damage: string;
@@ -251,6 +247,10 @@ export class Decoder {
      * Degree of the harmonics of its Gaussians.
      */
     readonly degree: number;
+    /**
+     * Whether something was packed in a colour that changes with time.
+     */
+    readonly fading: boolean;
     /**
      * The number of the footprint that Gaussians are drawn with.
      */
@@ -346,11 +346,6 @@ export class Screen {
 export function firstBytes(): number;
 
 /**
- * Number of levels, base included.
- */
-export function levelCount(): number;
-
-/**
  * How many bytes of a file are needed for its manifest, which begins with `first`; 0 when they are there.
  */
 export function manifestBytes(first: Uint8Array | number[]): number;
@@ -414,11 +409,11 @@ export interface InitOutput {
     readonly decoder_base_timeout: (a: number) => number;
     readonly decoder_bounds: (a: number) => [number, number, number, number];
     readonly decoder_choose: (a: number, b: number, c: number) => void;
-    readonly decoder_content: (a: number) => number;
     readonly decoder_copyPacked: (a: number, b: any) => [number, number];
     readonly decoder_damage: (a: number) => [number, number];
     readonly decoder_degree: (a: number) => number;
     readonly decoder_deliver: (a: number, b: number) => number;
+    readonly decoder_fading: (a: number) => number;
     readonly decoder_fetch: (a: number, b: number, c: number) => [number, number, number];
     readonly decoder_footprint: (a: number) => number;
     readonly decoder_goTo: (a: number, b: number) => void;
@@ -443,7 +438,6 @@ export interface InitOutput {
     readonly decoder_up: (a: number) => [number, number];
     readonly decoder_wanted: (a: number) => [number, number];
     readonly firstBytes: () => number;
-    readonly levelCount: () => number;
     readonly manifestBytes: (a: number, b: number) => [number, number, number];
     readonly memoryBytes: () => number;
     readonly overlayColours: (a: number) => [number, number];
@@ -459,11 +453,11 @@ export interface InitOutput {
     readonly screen_upload: (a: number, b: number, c: number, d: number, e: number, f: number, g: number) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64: (a: number, b: number, c: any, d: any) => void;
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_85: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_84: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_87: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_88: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_89: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043: (a: number, b: number, c: any) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_87: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_86: (a: number, b: number, c: any) => void;
     readonly __wbindgen_malloc: (a: number, b: number) => number;
     readonly __wbindgen_realloc: (a: number, b: number, c: number, d: number) => number;
     readonly __wbindgen_free: (a: number, b: number, c: number) => void;

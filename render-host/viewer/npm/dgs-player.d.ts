@@ -1,17 +1,20 @@
-import type { Screen } from "./dgs_viewer.js";
+import type { Engine } from "./engine.js";
 import type { Overlay, Session } from "./session.js";
 
-/** What an emulated network does to packets, and a server to a session. */
+/** What an emulated network does to packets, and a server to a session. What is out of range is a RangeError. */
 export interface Conditions {
-  /** Share of packets lost, 0 to 0.95. */
+  /** Share of packets lost, 0 to 0.9. */
   loss?: number;
-  /** Mean number of packets lost in a row, 1 to 100. */
+  /**
+   * Mean number of packets lost in a row, 1 to 100; at 1 losses are independent. Above 1 they are loss / (1 - loss) at
+   * least, the shortest that lose so many.
+   */
   burst?: number;
-  /** Bits per second; 0 for all at once. */
+  /** Bits per second, 1000 to 1e9; 0 for all at once. */
   rate?: number;
-  /** Seconds on the way. */
+  /** Seconds on the way, 0 to 1. */
   delay?: number;
-  /** Which packets are lost. */
+  /** Which packets are lost: a whole number, 0 to 4294967295. */
   seed?: number;
   /** What chooses packets, of a server's session; "" is the server's own. */
   scheduler?: "" | "layered" | "dash" | "dependency" | "deadline-utility" | "deadline-utility-paper";
@@ -53,29 +56,6 @@ export interface DgsPlayerEventMap extends Omit<HTMLElementEventMap, "progress">
   error: ErrorEvent;
 }
 
-/** Draws a session on a canvas, survives the loss of its device; its event `reduction` says that `session.reduced` is new. */
-export class Engine extends EventTarget {
-  constructor(canvas: HTMLCanvasElement);
-  session: Session | null;
-  readonly screen: Screen | null;
-  readonly adapter: string;
-  readonly aspect: number;
-  /** Whether the clock waits for a base level. */
-  readonly waiting: boolean;
-  /** Bytes of WebAssembly and on the device. */
-  readonly memory: { wasm: number; device: number };
-  /** Device pixels per CSS pixel; `null` for the display's own. */
-  pixelRatio: number | null;
-  /** Frames drawn. */
-  readonly frames: number;
-  open(): Promise<void>;
-  request(): void;
-  /** Draws what is requested as soon as it is decoded. */
-  drawNow(): Promise<void>;
-  redraw(): void;
-  close(): void;
-}
-
 /**
  * `<dgs-player src time autoplay loop controls background quality up pixel-ratio worker adapt>`: like `<video>`, with
  * a camera. `worker="off"` decodes on the page's thread; `data-decoding` says where it is done, and why. `adapt="off"`
@@ -99,7 +79,7 @@ export class DgsPlayer extends HTMLElement {
   playbackRate: number;
   /** True but for `loop="false"`. */
   loop: boolean;
-  /** Highest level shown, 0 to 3. */
+  /** Highest level shown: 0, 1, 2 or 3. Anything else is a RangeError. */
   quality: number;
   /** What blocks are painted by; see `session.d.ts`. */
   overlay: Overlay;
@@ -109,6 +89,7 @@ export class DgsPlayer extends HTMLElement {
   background: string;
   /** The next of a few backgrounds, from black to white. */
   nextBackground(): void;
+  /** Where the camera is. Kept for the next stream; null forgets what was kept. */
   view: View | null;
   readonly duration: number;
   /** When the first picture was drawn, milliseconds since the page began. */
@@ -135,7 +116,10 @@ export class DgsPlayer extends HTMLElement {
    * is removed.
    */
   playServed(stream: ServedStream, transport?: "live" | "streams" | "websocket" | "file" | null): Promise<void>;
-  /** Sets the network; a server that grants it changes its own link and scheduler for this session. */
+  /**
+   * Sets the network; a server that grants it changes its own link and scheduler for this session. Rejects with a
+   * RangeError for what is out of range.
+   */
   impair(conditions: Conditions): Promise<void>;
   toggleNetwork(): void;
   toggleFullscreen(): void;

@@ -16,6 +16,9 @@ export type Overlay = "none" | "levels" | "arrivals" | "missing";
 /** All of them, in the order in which the key O goes through them. */
 export const OVERLAYS: readonly Overlay[];
 
+/** Levels there are, base included. */
+export const LEVELS: 4;
+
 /** Names of what blocks are shown at: stand-ins, base, refinements. */
 export const LEVEL_NAMES: readonly string[];
 
@@ -47,7 +50,7 @@ export class Session extends Controls {
   readonly damage: string;
   /** Share of the file that is there; of what a server sends, the share of its packets, as last answered. */
   readonly loaded: number;
-  /** Highest level shown, 0 to 3. */
+  /** Highest level shown: 0, 1, 2 or 3. Anything else is a RangeError. */
   cap: number;
   /** What blocks are painted by. Anything else is a RangeError. */
   overlay: Overlay;
@@ -90,9 +93,12 @@ export class Session extends Controls {
    * took its place. Null where nobody does.
    */
   server: ((conditions: Conditions) => Promise<Granted | null>) | null;
-  /** Puts an emulated network before the decoder. */
+  /** Puts an emulated network before the decoder; throws a RangeError for what is out of range. */
   impair(conditions?: Pick<Conditions, "loss" | "burst" | "rate" | "delay" | "seed">): void;
-  /** Asks whoever sends for `conditions`; what is not granted of the network is emulated here. */
+  /**
+   * Asks whoever sends for `conditions`; what is not granted of the network is emulated here. Rejects with a RangeError
+   * for what is out of range.
+   */
   setConditions(conditions: Conditions): Promise<Granted | null>;
   /** Forgets every packet: the server begins as if nothing had arrived. */
   restart(): Promise<void>;

@@ -2,7 +2,7 @@
 
 import { KEYS } from "./input.js";
 import { showLegend } from "./legend.js";
-import { OVERLAYS } from "./session.js";
+import { LEVELS, OVERLAYS } from "./session.js";
 import { STYLE } from "./style.js";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
@@ -44,7 +44,7 @@ export function build(root) {
       .querySelector(select)
       .replaceChildren(...values.map((value, k) => new Option(labels[k], value, value === chosen, value === chosen)));
   options(".speed", SPEEDS, SPEEDS.map((speed) => `${speed}×`), 1);
-  options(".quality", [0, 1, 2, 3], QUALITIES, 3);
+  options(".quality", [...QUALITIES.keys()], QUALITIES, LEVELS - 1);
   const rows = KEYS.map(([key, does]) => `<dt><kbd>${key}</kbd></dt><dd>${does}</dd>`);
   root.querySelector("dialog dl").innerHTML = rows.join("");
   // The network panel keeps clear of the bar, however many rows that has.
@@ -69,6 +69,22 @@ export function bindControls(root, player) {
   on(".help", "click", () => player.showHelp());
   const pressed = ({ target }) => root.querySelector(".net").setAttribute("aria-pressed", !target.hidden);
   on(".network", "toggle", pressed);
+}
+
+/** Shows `player` on the whole display, or no longer; `refused()` where that cannot be. */
+export function toggleFullscreen(player, refused) {
+  if (document.fullscreenElement) document.exitFullscreen();
+  else if (player.requestFullscreen) player.requestFullscreen().catch(refused);
+  else refused();
+}
+
+/** Shows the keys, or hides them. */
+export function toggleHelp(root) {
+  const dialog = root.querySelector("dialog");
+  if (dialog.open) dialog.close();
+  else dialog.showModal();
+  // The focus is on the button at its end.
+  dialog.scrollTop = 0;
 }
 
 /** What is said on the picture: a sentence that stays, and over it one that goes away. */

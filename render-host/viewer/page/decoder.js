@@ -89,9 +89,10 @@ class Actions {
     this.#decoder.goTo(frame);
     this.#decoder.choose(cap, overlay);
     this.#decoder.reduce(reduced.cap, reduced.share);
-    const busy = this.#decoder.deliver(now);
+    const onWay = this.#decoder.deliver(now);
     const packed = hasScreen ? this.#decoder.pack(anew) : undefined;
-    return { picture: packed && this.#copied(packed), state: this.#state(busy) };
+    // What has just come is painted as new by packing it.
+    return { picture: packed && this.#copied(packed), state: this.#state(onWay || this.#decoder.fading) };
   }
 
   #copied(packed) {

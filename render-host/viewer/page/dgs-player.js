@@ -1,14 +1,14 @@
 // The element <dgs-player> plays a stream: like <video>, with a camera and a network to pull apart.
 
 import { Attributes } from "./attributes.js";
-import { BACKGROUNDS, Message, bindControls, build, showState, showTime } from "./bar.js";
+import { BACKGROUNDS, Message, bindControls, build, showState, showTime, toggleFullscreen, toggleHelp } from "./bar.js";
 import { prepare } from "./decoding.js";
 import { Engine } from "./engine.js";
 import { load } from "./load.js";
 import { NetworkPanel } from "./network.js";
 import { bindIdle, bindKeys, bindPointers } from "./input.js";
 import { fileRung, follow, rungsOf } from "./ladder.js";
-import { OVERLAYS, checkedOverlay } from "./session.js";
+import { LEVELS, OVERLAYS, checkedLevel, checkedOverlay } from "./session.js";
 import { openFile } from "./source.js";
 
 export class DgsPlayer extends Attributes {
@@ -25,7 +25,7 @@ export class DgsPlayer extends Attributes {
   #damage = "";
   #error = null;
   // What is requested of every stream, whether or not one has begun: as a session calls it.
-  #requested = { looping: true, rate: 1, cap: 3, overlay: OVERLAYS[0], keepsUp: true };
+  #requested = { looping: true, rate: 1, cap: LEVELS - 1, overlay: OVERLAYS[0], keepsUp: true };
   // What is requested of the next stream alone: whether it plays, and from when; null where nobody has said.
   #next = { playing: null, time: null };
   #view = null;
@@ -51,8 +51,7 @@ export class DgsPlayer extends Attributes {
     this.#hopeless = false;
     this.#engine = new Engine(this.#part("canvas.picture"));
     this.#listen();
-    const opened = this.#engine.open();
-    opened.catch((error) => {
+    this.#engine.open().catch((error) => {
       this.#fail(error);
       this.#hopeless = true;
     });
@@ -71,18 +70,28 @@ export class DgsPlayer extends Attributes {
   }
 
   attributeChangedCallback(name, before, now) {
-    if (before === now) return;
+    // A time that is set again is gone to again.
+    if (before === now && name !== "time") return;
     if (name === "src" && now === null) this.#load?.abort();
     else if (name === "src" && this.#engine) this.#start(now);
-    if (name === "time" && this.session) this.currentTime = Number(now);
+    if (name === "time" && now !== null && this.session) this.currentTime = Number(now);
     if (name === "loop") this.loop = now !== "false";
     if (name === "background" && now) this.background = now;
-    if (name === "quality" && now) this.quality = Number(now);
+    if (name === "quality" && now) this.#take(() => (this.quality = now));
     if (name === "adapt") this.#request("levelchange", { keepsUp: this.adaptive });
     if (name === "up") this.#turnUp(now ?? this.session?.upOfStream);
     if (name === "pixel-ratio" && this.#engine) {
       this.#engine.pixelRatio = this.pixelRatio;
       this.#engine.request();
+    }
+  }
+
+  // What an attribute says; nobody catches what that throws.
+  #take(set) {
+    try {
+      set();
+    } catch (error) {
+      this.#fail(error);
     }
   }
 
@@ -149,14 +158,14 @@ export class DgsPlayer extends Attributes {
   async playServed(stream, transport = null) {
     const said = (failure) => (failure?.isRefusal ? failure.message : "The server is gone");
     const gone = (failure) => this.#say(`${said(failure)}; trying again`);
-    await this.#climb(rungsOf(stream, transport), "Connecting …", gone);
+    await this.#climb(() => rungsOf(stream, transport), "Connecting …", gone);
   }
 
   #start(url) {
-    return this.#climb([fileRung(url)], "Loading …");
+    return this.#climb(() => [fileRung(url)], "Loading …");
   }
 
-  // Plays what the first of `rungs` brings; when it is cut off, the next takes over where it is by then, and
+  // Plays what the first of `rungs()` brings; when it is cut off, the next takes over where it is by then, and
   // all of them again after the last, if `gone` can say so.
   async #climb(rungs, sentence, gone = null) {
     this.#forget();
@@ -181,7 +190,7 @@ export class DgsPlayer extends Attributes {
     const given = { began, came, gone, signal, switched, start, player: this, worker: this.#worker };
     try {
       await load();
-      const result = await follow(rungs, given);
+      const result = await follow(rungs(), given);
       if (signal.aborted) return;
       this.dataset.transport = result;
       this.#emit("load");
@@ -354,13 +363,13 @@ export class DgsPlayer extends Attributes {
     this.#request("loopchange", { looping: Boolean(loop) });
   }
 
-  /** Highest level shown, 0 to 3. */
+  /** Highest level shown, 0 to 3; anything else is a RangeError. */
   get quality() {
     return this.#requested.cap;
   }
 
   set quality(level) {
-    this.#request("levelchange", { cap: Math.max(0, Math.min(3, Math.round(level) || 0)) });
+    this.#request("levelchange", { cap: checkedLevel("quality", level) });
   }
 
   /** What blocks are painted by: none, levels (that they are shown at), arrivals (of the last second), missing (utility). */
@@ -403,14 +412,14 @@ export class DgsPlayer extends Attributes {
     session.setBackground(...[1, 3, 5].map((at) => parseInt(this.background.slice(at, at + 2), 16) / 255));
   }
 
-  /** Azimuth, elevation (radians), distance, target: six numbers. Kept for the next stream. */
+  /** Azimuth, elevation (radians), distance, target: six numbers. Kept for the next stream; null forgets them. */
   get view() {
     return this.session ? [...this.session.view] : this.#view;
   }
 
   set view(numbers) {
-    this.#view = Float64Array.from(numbers);
-    if (this.session?.setView(this.#view)) this.#moved();
+    this.#view = numbers && Float64Array.from(numbers);
+    if (numbers && this.session?.setView(this.#view)) this.#moved();
   }
 
   #change(event, change) {
@@ -469,7 +478,7 @@ export class DgsPlayer extends Attributes {
   /**
    * Sets the network: share lost, mean run, bits per second (0: all at once), seconds of delay, seed; of a server's session
    * also its scheduler, and whether each round begins anew. The promise is kept once it holds; without a session at once:
-   * it then holds from the beginning of the next.
+   * it then holds from the beginning of the next. It is rejected with a RangeError for what is not allowed.
    */
   async impair(conditions) {
     const set = this.#panel.set(conditions);
@@ -482,18 +491,11 @@ export class DgsPlayer extends Attributes {
   }
 
   toggleFullscreen() {
-    const refused = () => this.#say("This browser shows no part of a page full screen.");
-    if (document.fullscreenElement) document.exitFullscreen();
-    else if (this.requestFullscreen) this.requestFullscreen().catch(refused);
-    else refused();
+    toggleFullscreen(this, () => this.#say("This browser shows no part of a page full screen."));
   }
 
   showHelp() {
-    const dialog = this.#part("dialog");
-    if (dialog.open) dialog.close();
-    else dialog.showModal();
-    // The focus is on the button at its end.
-    dialog.scrollTop = 0;
+    toggleHelp(this.#root);
   }
 }
 

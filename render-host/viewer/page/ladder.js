@@ -13,13 +13,28 @@ const [FIRST_PAUSE_MS, LONGEST_PAUSE_MS] = [500, 10_000];
 // Where a page remembers which transport was the first.
 const REMEMBERED = "dgs-transport";
 
+/** What can be allowed alone. */
+const TRANSPORTS = ["live", "streams", "websocket", "file"];
+
 /** The rung that plays the file at `url`. */
 export function fileRung(url) {
-  return { name: "file", run: (given) => fetchStream(new URL(url, document.baseURI).href, given) };
+  const address = addressOf(url);
+  return { name: "file", run: (given) => fetchStream(address, given) };
+}
+
+function addressOf(url) {
+  try {
+    return new URL(url, document.baseURI).href;
+  } catch {
+    throw new TypeError(`${url} is no address`);
+  }
 }
 
 /** The rungs of a stream of `streams.json`, best first; `only` allows one alone. */
 export function rungsOf(stream, only) {
+  if (only && !TRANSPORTS.includes(only)) {
+    throw new RangeError(`transport: ${only}; ${TRANSPORTS.join(", ")} are allowed`);
+  }
   const rungs = [];
   const live = (name, open) => rungs.push({ name, run: (given) => receive(stream, open, given) });
   if (hasWebTransport(stream)) {
@@ -31,7 +46,10 @@ export function rungsOf(stream, only) {
   }
   if (stream.web_address) live("websocket", openWebSocket);
   if (stream.file) rungs.push(fileRung(stream.file));
-  return rungs.filter(({ name }) => !only || name === only);
+  const allowed = rungs.filter(({ name }) => !only || name === only);
+  if (allowed.length > 0) return allowed;
+  const names = rungs.map(({ name }) => name).join(", ") || "none";
+  throw new Error(`transport: ${only || "any"}; this browser has ${names} with this server`);
 }
 
 /**
@@ -104,7 +122,6 @@ async function climb(rungs, { began, signal, switched, ...given }) {
         (failure) => ended({ failure }),
       );
     };
-    if (left === 0) reject(new Error("This browser or this server has no such transport"));
     next();
   });
   return outcome.finally(() => signal.removeEventListener("abort", end));

@@ -1,6 +1,6 @@
 // A live source receives packets from `dgs serve` on a link: SESSION.md has every message.
 
-import { CONDITIONS, GRANTED, conditionsBody, granted } from "./conditions.js";
+import { CONDITIONS, GRANTED, checkedConditions, conditionsBody, granted } from "./conditions.js";
 import { MAX_WAITING, Session } from "./session.js";
 
 // Kinds of messages on the control stream.
@@ -79,7 +79,7 @@ class Rounds {
 
   /** Takes requests for other conditions. */
   serve(session) {
-    session.server = (conditions) => this.#ask(session, conditions);
+    session.server = async (conditions) => this.#ask(session, checkedConditions(conditions));
   }
 
   async receive(session, came, signal, switched) {

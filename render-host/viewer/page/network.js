@@ -1,23 +1,24 @@
 // The network panel loses packets on purpose and shows what is left: sliders, plots, numbers. Of a server that grants it
 // the server's scheduler and link change; of files, and over TCP, a network is emulated before the decoder.
 
-import { SCHEDULERS } from "./conditions.js";
+import { RANGES, SCHEDULERS, checkedConditions, meanBurst } from "./conditions.js";
 import { coloursOf, legendItems } from "./legend.js";
 import { LEVEL_NAMES } from "./session.js";
 
 // Samples of the plot, and what lies between two, milliseconds.
 const SAMPLES = 140;
 const SAMPLE_MS = 100;
-// The rate slider is a logarithm, of Mbit/s; at its end there is no limit.
-const NO_LIMIT = 2;
+// The rate slider is a logarithm, of bits per second; past the most there is no limit.
+const [LEAST_RATE, MOST_RATE] = RANGES.rate.map(Math.log10);
+const NO_LIMIT = MOST_RATE + 0.05;
 // Where the network is, by whether the server grants a link.
 const WHERE = ["emulated in this page", "emulated at the server"];
 
 const PARTS = `
-<label>Loss <input class="loss" type="range" min="0" max="60" step="1" value="0"><output>0 %</output></label>
-<label>Bursts <input class="burst" type="range" min="1" max="20" step="1" value="1"><output>1 packet</output></label>
-<label>Rate <input class="rate" type="range" min="-1" max="${NO_LIMIT}" step="0.05" value="${NO_LIMIT}"><output>no limit</output></label>
-<label>Delay <input class="delay" type="range" min="0" max="500" step="5" value="0"><output>0 ms</output></label>
+<label>Loss <input class="loss" type="range" min="0" max="${100 * RANGES.loss[1]}" step="1" value="0"><output>0 %</output></label>
+<label>Bursts <input class="burst" type="range" min="1" max="${RANGES.burst[1]}" step="1" value="1"><output>1 packet</output></label>
+<label>Rate <input class="rate" type="range" min="${LEAST_RATE}" max="${NO_LIMIT}" step="0.05" value="${NO_LIMIT}"><output>no limit</output></label>
+<label>Delay <input class="delay" type="range" min="0" max="${1000 * RANGES.delay[1]}" step="5" value="0"><output>0 ms</output></label>
 <label>Seed <input class="seed" type="range" min="1" max="50" step="1" value="1"><output>1</output></label>
 <label class="of-server">Scheduler <select class="scheduler"></select></label>
 <label class="of-server">Anew <span><input class="anew" type="checkbox" checked> each loop begins with nothing</span></label>
@@ -27,6 +28,23 @@ const PARTS = `
 <canvas class="bits" role="img" aria-label="Bits that arrived per second over time"></canvas>
 <ul class="legend"></ul>
 <p class="numbers" role="status"></p>`;
+
+// What each control says, as conditions have it.
+const READ = {
+  loss: ({ value }) => value / 100,
+  burst: ({ value }) => Number(value),
+  rate: ({ value }) => (value > MOST_RATE ? 0 : 10 ** value),
+  delay: ({ value }) => value / 1000,
+  seed: ({ value }) => Number(value),
+  scheduler: ({ value }) => value,
+  anew: ({ checked }) => checked,
+};
+
+function rateText(rate) {
+  if (rate === 0) return "no limit";
+  const [unit, name] = rate < 1e6 ? [1e3, "kbit/s"] : [1e6, "Mbit/s"];
+  return `${Number((rate / unit).toPrecision(2))} ${name}`;
+}
 
 export class NetworkPanel {
   #root;
@@ -40,7 +58,7 @@ export class NetworkPanel {
   #timer = 0;
   #colours = null;
   // What is asked for, and whether that is anything.
-  #conditions = null;
+  #conditions = checkedConditions({ anew: true });
   #isSet = false;
 
   /** `engine()` is the engine of the player, or null. */
@@ -50,7 +68,7 @@ export class NetworkPanel {
     root.innerHTML = PARTS;
     const options = SCHEDULERS.map((name) => new Option(name || "the server's", name));
     root.querySelector(".scheduler").replaceChildren(...options);
-    root.addEventListener("input", () => this.#ask());
+    root.addEventListener("input", ({ target }) => this.#ask(target));
   }
 
   #control(name) {
@@ -89,34 +107,33 @@ export class NetworkPanel {
    * Sets the sliders, and the network to exactly this: share lost, mean run, bits per second (0: no limit), seconds of
    * delay, seed, scheduler, whether each round begins anew. The promise is kept once it holds.
    */
-  set({ loss = 0, burst = 1, rate = 0, delay = 0, seed = 1, scheduler = "", anew = true }) {
+  set(conditions) {
+    const checked = checkedConditions({ anew: true, ...conditions });
+    const { loss, burst, rate, delay, seed, scheduler, anew } = checked;
     const slider = (name, value) => (this.#control(name).value = value);
     slider("loss", 100 * loss);
     slider("burst", burst);
-    slider("rate", rate > 0 ? Math.log10(rate * 1e-6) : NO_LIMIT);
+    slider("rate", rate > 0 ? Math.log10(rate) : NO_LIMIT);
     slider("delay", 1000 * delay);
     slider("seed", seed);
     slider("scheduler", scheduler);
     this.#control("anew").checked = anew;
-    return this.#apply({ loss, burst, rate, delay, seed, scheduler, anew });
+    return this.#apply(checked);
   }
 
-  #ask() {
-    const [loss, burst, rate, delay, seed] = ["loss", "burst", "rate", "delay", "seed"].map((name) =>
-      Number(this.#control(name).value),
-    );
-    const bits = rate >= NO_LIMIT ? 0 : 10 ** rate * 1e6;
-    const { value: scheduler } = this.#control("scheduler");
-    const { checked: anew } = this.#control("anew");
-    return this.#apply({ loss: loss / 100, burst, rate: bits, delay: delay / 1000, seed, scheduler, anew });
+  // Takes what one control says: others may show only roughly what was set.
+  #ask(control) {
+    const { className: name } = control;
+    return this.#apply({ ...this.#conditions, [name]: READ[name](control) });
   }
 
   async #apply(conditions) {
     this.#conditions = conditions;
-    const { loss, burst, rate, delay, seed, scheduler } = conditions;
+    const { loss, rate, delay, seed, scheduler } = conditions;
+    const burst = meanBurst(loss, conditions.burst);
     this.#say("loss", `${Math.round(100 * loss)} %`);
     this.#say("burst", burst === 1 ? "1 packet" : `${burst} packets`);
-    this.#say("rate", rate === 0 ? "no limit" : `${(rate * 1e-6).toPrecision(2)} Mbit/s`);
+    this.#say("rate", rateText(rate));
     this.#say("delay", `${Math.round(1000 * delay)} ms`);
     this.#say("seed", `${seed}`);
     this.#isSet = loss > 0 || rate > 0 || delay > 0 || scheduler !== "";

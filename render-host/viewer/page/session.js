@@ -1,9 +1,11 @@
 // A session is a stream that is shown: clock and camera here, packets and Gaussians with its decoder.
 
+import { checkedConditions, meanBurst } from "./conditions.js";
 import { Controls } from "./dgs_viewer.js";
 import { Decoding } from "./decoding.js";
 
-const LEVELS = 4;
+/** Levels there are, base included. */
+export const LEVELS = 4;
 /** Packets that may wait for the decoder before whoever brings them should wait, too. */
 export const MAX_WAITING = 1024;
 // Questions to the decoder that the picture of what is requested may take.
@@ -19,6 +21,12 @@ export const LEVEL_NAMES = ["stand-ins", "base", "level 1", "level 2", "level 3"
 export function checkedOverlay(overlay) {
   if (OVERLAYS.includes(overlay)) return overlay;
   throw new RangeError(`overlay: ${overlay}; ${OVERLAYS.join(", ")} are allowed`);
+}
+
+/** `level`, if it can be the highest shown: what is set by `name`. */
+export function checkedLevel(name, level) {
+  if (/^\d$/.test(level) && level < LEVELS) return Number(level);
+  throw new RangeError(`${name}: ${level}; whole numbers from 0 to ${LEVELS - 1} are allowed`);
 }
 
 // A network that does nothing.
@@ -125,7 +133,7 @@ export class Session extends Controls {
   }
 
   set cap(level) {
-    this.#cap = Math.max(0, Math.min(LEVELS - 1, Math.round(level) || 0));
+    this.#cap = checkedLevel("cap", level);
   }
 
   /** What blocks are painted by: one of OVERLAYS. */
@@ -264,10 +272,11 @@ export class Session extends Controls {
    * Puts an emulated network before the decoder: share lost, mean run, bits per second (0: no limit), seconds of delay,
    * seed.
    */
-  impair({ loss = 0, burst = 1, rate = 0, delay = 0, seed = 1 } = {}) {
-    const network = { loss, burst, rate, delay, seed };
-    this.#network = JSON.stringify(network);
+  impair(conditions = {}) {
+    const { loss, burst, rate, delay, seed } = checkedConditions(conditions);
+    this.#network = JSON.stringify({ loss, burst, rate, delay, seed });
     this.#changes += 1;
+    const network = { loss, burst: meanBurst(loss, burst), rate, delay, seed };
     this.#decoding.ask("impair", network).catch((error) => this.#fail(error));
   }
 
@@ -277,9 +286,10 @@ export class Session extends Controls {
    * that a later one replaced.
    */
   async setConditions(conditions) {
-    const granted = this.server ? await this.server(conditions) : { link: false, scheduler: false };
+    const checked = checkedConditions(conditions);
+    const granted = this.server ? await this.server(checked) : { link: false, scheduler: false };
     if (!granted || this.#freed) return null;
-    const { loss, burst, rate, delay, seed } = granted.link ? PERFECT : { ...PERFECT, ...conditions };
+    const { loss, burst, rate, delay, seed } = granted.link ? PERFECT : checked;
     if (JSON.stringify({ loss, burst, rate, delay, seed }) !== this.#network) {
       this.impair({ loss, burst, rate, delay, seed });
     }

@@ -1,5 +1,7 @@
 //! A channel loses packets as a network does, by a seed: what arrives, and when.
 
+use std::collections::VecDeque;
+
 /// What a channel does to packets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditions {
@@ -41,21 +43,25 @@ impl Conditions {
     }
 }
 
-/// Packets on their way: a two-state model of loss (Gilbert) and a rate.
+/// Packets on their way: a two-state model of loss (Gilbert), a rate and a delay.
 #[derive(Clone, Debug)]
 pub struct Channel {
     conditions: Conditions,
     random: u64,
     /// Whether the packet before was lost; `None` before the first.
     losing: Option<bool>,
-    bits: f64,
+    /// When all that was handed over is sent, seconds.
+    free_s: f64,
+    /// Of each packet that is not through: when it is, seconds, and whether it arrives.
+    on_way: VecDeque<(f64, bool)>,
 }
 
 impl Channel {
     /// A channel under `conditions`, brought within their bounds.
     pub fn new(conditions: Conditions) -> Self {
         let conditions = conditions.bounded();
-        Self { conditions, random: conditions.seed, losing: None, bits: 0.0 }
+        let (free_s, on_way) = (f64::NEG_INFINITY, VecDeque::new());
+        Self { conditions, random: conditions.seed, losing: None, free_s, on_way }
     }
 
     /// Its conditions.
@@ -63,10 +69,11 @@ impl Channel {
         self.conditions
     }
 
-    /// Sends the next packet, of `bytes` bytes; true when it arrives.
-    pub fn send(&mut self, bytes: usize) -> bool {
-        self.bits += 8.0 * bytes as f64;
-        let Conditions { loss, burst, .. } = self.conditions;
+    /// Sends the next packet, of `bytes` bytes, once those before are sent; it was handed over at `handed_s`,
+    /// seconds.
+    pub fn send(&mut self, bytes: usize, handed_s: f64) {
+        let Conditions { loss, burst, rate_bps, delay_s, .. } = self.conditions;
+        self.free_s = self.free_s.max(handed_s) + rate_bps.map_or(0.0, |rate| 8.0 * bytes as f64 / rate);
         // From one state to the other so often that the share lost is `loss` and runs are `burst` long.
         let chance = match self.losing {
             None => loss,
@@ -76,13 +83,18 @@ impl Channel {
         };
         let lost = self.uniform() < chance;
         self.losing = Some(lost);
-        !lost
+        self.on_way.push_back((self.free_s + delay_s, !lost));
     }
 
-    /// When the next packet, of `bytes` bytes, is through: seconds since the first was sent.
-    pub fn due_s(&self, bytes: usize) -> f64 {
-        let sent_s = self.conditions.rate_bps.map_or(0.0, |rate| (self.bits + 8.0 * bytes as f64) / rate);
-        sent_s + self.conditions.delay_s
+    /// The next packet that is through at `now_s`, seconds: true where it arrives, false where it is lost;
+    /// `None` where none is.
+    pub fn next_through(&mut self, now_s: f64) -> Option<bool> {
+        self.on_way.pop_front_if(|(due_s, _)| *due_s <= now_s).map(|(_, arrives)| arrives)
+    }
+
+    /// Packets that are not through.
+    pub fn on_way(&self) -> usize {
+        self.on_way.len()
     }
 
     /// The next number of SplitMix64, in 0..1.
@@ -101,7 +113,8 @@ mod tests {
 
     fn lost(conditions: Conditions, packets: usize) -> Vec<bool> {
         let mut channel = Channel::new(conditions);
-        (0..packets).map(|_| !channel.send(1000)).collect()
+        (0..packets).for_each(|_| channel.send(1000, 0.0));
+        std::iter::from_fn(|| channel.next_through(0.0)).map(|arrives| !arrives).collect()
     }
 
     #[test]
@@ -127,14 +140,24 @@ mod tests {
 
     #[test]
     fn a_rate_says_when() {
-        let mut channel = Channel::new(Conditions { rate_bps: Some(80_000.0), ..Conditions::default() });
-        assert!((channel.due_s(1000) - 0.1).abs() < 1e-12);
-        channel.send(1000);
-        assert!((channel.due_s(1000) - 0.2).abs() < 1e-12);
-        assert_eq!(Channel::new(Conditions::default()).due_s(1000), 0.0);
+        let due_s = |conditions, handed_s: &[f64]| -> Vec<f64> {
+            let mut channel = Channel::new(conditions);
+            handed_s.iter().for_each(|&handed_s| channel.send(1000, handed_s));
+            channel.on_way.iter().map(|(due_s, _)| *due_s).collect()
+        };
+        let at_rate = Conditions { rate_bps: Some(80_000.0), ..Conditions::default() };
+        // A packet takes 0.1 s, after those before it; what was not used of the rate is gone.
+        let expected = [5.1, 5.2, 5.3, 9.1, 9.2];
+        let found = due_s(at_rate, &[5.0, 5.0, 5.15, 9.0, 9.01]);
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
+        assert_eq!(due_s(Conditions::default(), &[3.0, 4.0]), [3.0, 4.0]);
         let late = Conditions { delay_s: 0.25, ..Conditions::default() };
         assert!(!late.is_perfect());
-        assert_eq!(Channel::new(late).due_s(1000), 0.25);
+        assert_eq!(due_s(late, &[0.0, 10.0]), [0.25, 10.25]);
+        let mut channel = Channel::new(late);
+        channel.send(1000, 1.0);
+        assert_eq!((channel.next_through(1.2), channel.on_way()), (None, 1));
+        assert_eq!((channel.next_through(1.25), channel.on_way()), (Some(true), 0));
     }
 
     #[test]

@@ -58,9 +58,12 @@ impl Playback {
         self.playing
     }
 
-    /// Runs or stands. A clip that has ended begins again.
+    /// Runs or stands. A clip that has ended, at its start if it runs backwards, begins again.
     pub fn set_playing(&mut self, playing: bool) {
-        if playing && self.time_s >= self.duration_s() {
+        let (duration, backwards) = (self.duration_s(), self.rate < 0.0);
+        if playing && backwards && self.time_s <= 0.0 {
+            self.time_s = duration;
+        } else if playing && !backwards && self.time_s >= duration {
             self.time_s = 0.0;
         }
         self.playing = playing;
@@ -182,6 +185,16 @@ mod tests {
         assert_eq!((playback.playing(), playback.frame()), (false, 29));
         playback.set_playing(true);
         assert_eq!(playback.frame(), 0, "an ended clip begins again");
+        // Backwards it ends at its start, and goes on from where it is elsewhere.
+        playback.seek(3.0);
+        playback.set_rate(-1.0);
+        playback.set_playing(true);
+        assert_eq!(playback.time_s(), 3.0);
+        playback.seek(0.1);
+        assert!(playback.advance(0.2, 0.0, |_| false).ended);
+        assert_eq!((playback.playing(), playback.time_s()), (false, 0.0));
+        playback.set_playing(true);
+        assert_eq!(playback.time_s(), 3.0);
         let mut still = Playback::new(1, 10.0);
         still.set_playing(true);
         assert_eq!(still.advance(0.3, 0.0, |_| true), Step::default());

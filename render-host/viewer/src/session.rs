@@ -1,19 +1,18 @@
 //! A session holds one stream, its clock, its camera and its emulated network, and says what to draw.
 
+mod network;
 mod overlay;
 mod quality;
 mod thinner;
 
 use std::ops::Range;
 
-use codec_core::{
-    internals::{ids::Span, wire::packet::Head},
-    player::MAX_RECEIPT_BYTES,
-};
+use codec_core::{internals::ids::Span, player::MAX_RECEIPT_BYTES};
 use dgs_player::{Caps, Damage, ErrorKind, FrameDecoder, Player, Result, Stream, Usable};
 use render_host::Splats;
 
 use self::{
+    network::{Network, id_of},
     overlay::Painter,
     quality::{blocks_of, quality},
     thinner::Thinner,
@@ -24,7 +23,7 @@ pub use self::{
 };
 use crate::{
     bounds::bounds,
-    channel::{Channel, Conditions},
+    channel::Conditions,
     orbit::{Orbit, Up},
     playback::{Playback, Step},
     ranges::{RangePlan, Wanted},
@@ -54,12 +53,9 @@ pub struct Session {
     packets: Vec<Vec<u8>>,
     player: Player,
     decoder: FrameDecoder,
-    channel: Channel,
-    /// Packets given to the network, and when it began, seconds.
-    sent: usize,
+    network: Network,
     /// Bytes that it delivered.
     delivered: u64,
-    sent_since_s: Option<f64>,
     plan: Option<RangePlan>,
     /// Whether a server sends packets.
     live: bool,
@@ -93,10 +89,8 @@ impl Session {
             packets: Vec::new(),
             player,
             decoder,
-            channel: Channel::new(Conditions::default()),
-            sent: 0,
+            network: Network::new(Conditions::default()),
             delivered: 0,
-            sent_since_s: None,
             plan: None,
             live: false,
             playback,
@@ -204,24 +198,26 @@ impl Session {
     }
 
     fn push_all(&mut self, packets: impl IntoIterator<Item = Vec<u8>>) {
-        // A server that repeats its clip sends for hours: what is there already is not stored again.
-        let (live, player) = (self.live, &self.player);
-        let is_there = |packet: &[u8]| Head::parse(packet).is_ok_and(|head| player.has(head.id));
-        self.packets.extend(packets.into_iter().filter(|packet| !live || !is_there(packet)));
-        if self.channel.conditions().is_perfect() {
+        // A server that repeats its clip sends for hours: what is there already, or on its way, is not stored
+        // again.
+        let (live, player, network) = (self.live, &self.player, &mut self.network);
+        let mut is_known =
+            |packet: &[u8]| id_of(packet).is_some_and(|id| player.has(id) || !network.note(id));
+        self.packets.extend(packets.into_iter().filter(|packet| !live || !is_known(packet)));
+        if self.conditions().is_perfect() {
             self.send_all();
         }
     }
 
     /// Gives the player everything that came.
     fn send_all(&mut self) {
-        let fresh = &self.packets[self.sent..];
+        let fresh = &self.packets[self.network.through()..];
         if !fresh.is_empty() {
             self.player.push_all(fresh.iter().map(Vec::as_slice));
             self.delivered += fresh.iter().map(|packet| packet.len() as u64).sum::<u64>();
-            self.sent = self.packets.len();
             self.content += 1;
         }
+        self.network.skip(&self.packets);
     }
 
     /// Forgets every packet: the server begins as if nothing had arrived.
@@ -239,11 +235,16 @@ impl Session {
     /// None in practice: the manifest was taken before.
     pub fn impair(&mut self, conditions: Conditions) -> Result<()> {
         self.player = Player::new(&self.message, &Caps::HOST)?;
-        self.channel = Channel::new(conditions);
-        (self.sent, self.delivered, self.sent_since_s) = (0, 0, None);
+        self.network = Network::new(conditions);
+        self.delivered = 0;
+        if self.live {
+            for id in self.packets.iter().filter_map(|packet| id_of(packet)) {
+                self.network.note(id);
+            }
+        }
         self.painter.forget_arrivals();
         self.content += 1;
-        if self.channel.conditions().is_perfect() {
+        if self.conditions().is_perfect() {
             self.send_all();
         }
         Ok(())
@@ -251,37 +252,33 @@ impl Session {
 
     /// The network's conditions.
     pub fn conditions(&self) -> Conditions {
-        self.channel.conditions()
+        self.network.conditions()
     }
 
     /// Lets the network deliver what is through at `now_s`; true while more is on its way, or what has come
     /// is still painted as new.
     pub fn deliver(&mut self, now_s: f64) -> bool {
-        let fading = self.painter.set_time(now_s);
+        self.painter.set_time(now_s);
+        let fading = self.fading();
         self.content += u64::from(fading);
         fading | self.deliver_packets(now_s)
     }
 
+    /// Whether what was shown last is painted as new, in colours that change with time.
+    pub fn fading(&self) -> bool {
+        self.painter.fading()
+    }
+
     fn deliver_packets(&mut self, now_s: f64) -> bool {
-        if self.channel.conditions().is_perfect() {
+        if self.conditions().is_perfect() {
             return false;
         }
-        let since = *self.sent_since_s.get_or_insert(now_s);
-        let before = self.sent;
-        let mut arrived = Vec::new();
-        while let Some(packet) = self.packets.get(self.sent) {
-            if self.channel.due_s(packet.len()) > now_s - since {
-                break;
-            }
-            if self.channel.send(packet.len()) {
-                arrived.push(packet.as_slice());
-            }
-            self.sent += 1;
-        }
+        let before = self.network.through();
+        let arrived = self.network.deliver(&self.packets, self.live, now_s);
         self.delivered += arrived.iter().map(|packet| packet.len() as u64).sum::<u64>();
         self.player.push_all(arrived);
-        self.content += u64::from(self.sent > before);
-        self.sent < self.packets.len()
+        self.content += u64::from(self.network.through() > before);
+        self.network.through() < self.packets.len()
     }
 
     /// Lets `dt_s` seconds pass.

@@ -14,7 +14,7 @@ use web_sys::HtmlCanvasElement;
 use crate::{
     ranges::{FIRST_BYTES, message},
     screen::{DrawOptions, Screen},
-    session::{LEVELS, Overlay},
+    session::Overlay,
     shell::controls::Controls,
 };
 
@@ -126,10 +126,4 @@ pub fn overlay_colours(overlay: u32) -> Vec<f32> {
 #[wasm_bindgen(js_name = manifestBytes)]
 pub fn manifest_bytes(first: &[u8]) -> Result<f64, JsError> {
     Ok(message(first)?.err().map_or(0.0, |needed| needed as f64))
-}
-
-/// Number of levels, base included.
-#[wasm_bindgen(js_name = levelCount)]
-pub fn level_count() -> u32 {
-    LEVELS as u32
 }

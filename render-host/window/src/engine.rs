@@ -203,6 +203,8 @@ impl Engine {
             drawing = unfinished.then_some(DRAWING_S);
         }
         self.count(now_s);
+        // What has just come is painted as new by drawing it.
+        let busy = busy || self.session.as_ref().is_some_and(Session::fading);
         let due = [next, drawing, still, arriving, busy.then_some(ARRIVING_S)];
         let soonest = due.into_iter().flatten().reduce(f64::min);
         self.due_s = soonest.map(|soonest| now_s + soonest);

@@ -1,16 +1,23 @@
 //! Chooses what is compared with what: frames, cameras, pictures.
 
-use std::path::PathBuf;
+use std::{
+    collections::{BTreeMap, btree_map::Entry},
+    path::PathBuf,
+};
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
 use render_host::Camera;
 use trainer_host::viewpoint::Ring;
 
-use super::side::{self, Pictures, Side};
+use super::{
+    named::{Named, by_name},
+    side::{self, Pictures, Side},
+};
 use crate::{
     args::{Compare, ViewArgs},
-    pipeline::{self, Frames, RENDER_RING, Showing, Surroundings},
+    figures::counted,
+    pipeline::{self, Frames, RENDER_RING, Showing, Surroundings, file_names, listed},
 };
 
 /// Cameras around scenes without their own, where both sides are rendered.
@@ -20,7 +27,7 @@ const SIZE: (u32, u32) = (512, 512);
 
 /// What is compared with what, once.
 pub(super) struct Pair {
-    /// File name of the heat map, without its ending.
+    /// File name of the heat map, without its ending: no two are the same.
     pub(super) name: String,
     pub(super) frame: u32,
     pub(super) camera: usize,
@@ -62,11 +69,11 @@ pub(super) fn choose(args: &Compare, a: &mut Side, b: &mut Side) -> Result<Chose
         (Side::Frames(a), Side::Frames(b)) => {
             let count = matched_frames(args, a.count(), b.count())?;
             let views = views(args, b, count, &args.view, RING)?;
-            let pair = |Shown { name, frame, camera, from }: Shown| {
+            let pair = |Shown { name, frame, camera, from, .. }: Shown| {
                 let render = Source::Render(Box::new(from));
                 Pair { name, frame, camera, a: render.clone(), b: render }
             };
-            let pairs = views.list.into_iter().map(pair).collect();
+            let pairs = views.list.into_iter().filter(|shown| shown.is_chosen).map(pair).collect();
             Chosen { pairs, cameras: views.description, notes: Vec::new() }
         }
         (Side::Frames(frames), Side::Pictures(pictures)) => {
@@ -76,6 +83,8 @@ pub(super) fn choose(args: &Compare, a: &mut Side, b: &mut Side) -> Result<Chose
             photographed(args, frames, pictures, &args.a, true)?
         }
     };
+    let names = file_names(chosen.pairs.iter().map(|pair| &*pair.name));
+    chosen.pairs.iter_mut().zip(names).for_each(|(pair, name)| pair.name = name);
     if !has_stream && args.level != Level::HIGHEST.get() {
         chosen.notes.push("neither side is a stream; not used: --level".to_owned());
     }
@@ -93,7 +102,7 @@ fn pictures(args: &Compare, a: &Pictures, b: &Pictures) -> Result<Chosen> {
         }
     };
     let pair = |(i, (a, b)): (usize, (PathBuf, PathBuf))| {
-        let name = side::stem(&b.to_string_lossy()).to_owned();
+        let name = side::name_of(&b);
         Pair { name, frame: i as u32, camera: 0, a: Source::File(a), b: Source::File(b) }
     };
     let pairs = pairs.into_iter().enumerate().filter(|(i, _)| chosen.contains(i)).map(pair);
@@ -107,14 +116,18 @@ fn pictures(args: &Compare, a: &Pictures, b: &Pictures) -> Result<Chosen> {
     if !unused.is_empty() {
         notes.push(format!("pictures are compared as they are; not used: {}", unused.join(", ")));
     }
-    Ok(Chosen { pairs: unique(pairs.collect()), cameras: format!("as they are, {how}"), notes })
+    Ok(Chosen { pairs: pairs.collect(), cameras: format!("as they are, {how}"), notes })
 }
 
 /// What is typed and says nothing of pictures.
 fn unused_for_pictures(args: &Compare) -> Vec<&'static str> {
+    args.cameras.given().into_iter().chain(typed_sides(args)).chain(args.scene.given()).collect()
+}
+
+/// Sides that are typed, where pictures have sizes of their own.
+fn typed_sides(args: &Compare) -> Vec<&'static str> {
     let sides = [("--width", args.view.width.is_some()), ("--height", args.view.height.is_some())];
-    let sides = sides.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name);
-    args.cameras.given().into_iter().chain(sides).chain(args.scene.given()).collect()
+    sides.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
 }
 
 /// Pairs of renders of `frames` and pictures that are there: of side A if `is_first`.
@@ -125,16 +138,31 @@ fn photographed(
     name: &str,
     is_first: bool,
 ) -> Result<Chosen> {
-    let first = pictures.paths.first().context("no pictures")?;
-    let (width, height) = side::read(first, args.view.background)?.size();
-    let view = ViewArgs {
-        width: args.view.width.or(Some(width)),
-        height: args.view.height.or(Some(height)),
-        ..args.view.clone()
+    let size = side::size(pictures.paths.first().context("no pictures")?)?;
+    let mut views_at = |(width, height): (u32, u32)| {
+        let view = ViewArgs { width: Some(width), height: Some(height), ..args.view.clone() };
+        views(args, frames, frames.count(), &view, RENDER_RING)
     };
-    let views = views(args, frames, frames.count(), &view, RENDER_RING)?;
-    let Matched { list, paths, cameras, how } = matched(views, &pictures.paths)?;
-    let pairs = list.into_iter().zip(paths).map(|(Shown { name, frame, camera, from }, path)| {
+    let Matched { mut list, paths, cameras, how } = matched(views_at(size)?, &pictures.paths)?;
+    let mut others = BTreeMap::new();
+    for (shown, path) in list.iter_mut().zip(&paths) {
+        let own = side::size(path)?;
+        if own == size {
+            continue;
+        }
+        let cameras: &mut BTreeMap<_, _> = match others.entry(own) {
+            Entry::Occupied(there) => there.into_mut(),
+            Entry::Vacant(free) => {
+                let at = views_at(own).with_context(|| path.display().to_string())?;
+                free.insert(
+                    at.list.into_iter().map(|shown| ((shown.camera, shown.frame), shown.from)).collect(),
+                )
+            }
+        };
+        let camera = cameras.get(&(shown.camera, shown.frame));
+        shown.from = camera.context("a camera that is not there at another size")?.clone();
+    }
+    let pairs = list.into_iter().zip(paths).map(|(Shown { name, frame, camera, from, .. }, path)| {
         let (render, file) = (Source::Render(Box::new(from)), Source::File(path));
         let (a, b) = if is_first { (file, render) } else { (render, file) };
         Pair { name, frame, camera, a, b }
@@ -142,6 +170,10 @@ fn photographed(
     let mut notes = Vec::new();
     if let Some(of) = pictures.cameras.as_ref().filter(|of| **of != cameras) {
         notes.push(format!("{name} was rendered from {of}; it is compared with what {cameras} see"));
+    }
+    let unused = typed_sides(args);
+    if !unused.is_empty() {
+        notes.push(format!("renders are of the size of their pictures; not used: {}", unused.join(", ")));
     }
     Ok(Chosen { pairs: pairs.collect(), cameras: format!("{cameras}, {how}"), notes })
 }
@@ -154,60 +186,70 @@ struct Matched {
     how: &'static str,
 }
 
-/// Which of `views` the pictures of `paths` show: all of them, or what `dgs render` writes of a clip, which
-/// is its frames from the first camera, or one of them.
+/// Which of `views` the pictures of `paths` show: all that are chosen, or what `dgs render` writes of a clip,
+/// which is its frames from the first camera, or some of them. Where any name says which, names decide, and
+/// pictures of what is not chosen are left out.
+///
+/// # Errors
+/// Names that do not say it of all, or a number of pictures that fits nothing.
 fn matched(views: Views, paths: &[PathBuf]) -> Result<Matched> {
     let Views { list, description, of_first, is_clip } = views;
-    let found = |list: Vec<Shown>, paths: Vec<PathBuf>, cameras: String, how: &'static str| {
-        Ok(Matched { list, paths, cameras, how })
-    };
-    let (by_name, by_order) = ("matched by name", "matched by order");
-    let names: Vec<&str> = list.iter().map(|shown| shown.name.as_str()).collect();
-    if let Some(paths) = side::by_name(paths, &names) {
-        return found(list, paths, description, by_name);
+    let of_first_camera = list.iter().filter(|shown| is_clip && shown.camera == 0);
+    let first: Vec<Shown> =
+        of_first_camera.map(|shown| Shown { name: format!("{:05}", shown.frame), ..shown.clone() }).collect();
+    let all = list.iter().filter(|shown| shown.is_chosen).count();
+    let counts = format!("{}, and cameras and frames for {all}", counted(paths.len(), "picture"));
+    for (list, cameras, is_whole) in [(&list, &description, true), (&first, &of_first, false)] {
+        let names: Vec<&str> = list.iter().map(|shown| shown.name.as_str()).collect();
+        let Named { pictures, mut wrong, is_any } = by_name(paths, &names);
+        if !is_any {
+            continue;
+        }
+        let chosen = list.iter().zip(pictures).filter(|(shown, _)| shown.is_chosen);
+        let (there, missing): (Vec<_>, Vec<_>) = chosen.partition(|(_, picture)| picture.is_some());
+        // A part of the frames may be there.
+        if !missing.is_empty() && (is_whole || there.is_empty()) {
+            let names: Vec<&str> = missing.iter().map(|(shown, _)| shown.name.as_str()).collect();
+            wrong.push(format!("no picture is that of {}", listed(&names)));
+        }
+        if !wrong.is_empty() {
+            bail!("{counts}: {}; --camera, --frames choose", wrong.join("; "));
+        }
+        let there = there.into_iter().filter_map(|(shown, picture)| Some((shown.clone(), picture?)));
+        let (list, paths) = there.unzip();
+        return Ok(Matched { list, paths, cameras: cameras.clone(), how: "matched by name" });
     }
-    let all = list.len();
-    let is_all = paths.len() == all;
-    let mut first: Vec<Shown> = list.iter().filter(|shown| shown.camera == 0).cloned().collect();
-    if is_all && (!is_clip || first.len() < all) {
-        return found(list, paths.to_vec(), description, by_order);
+    let [list, mut first] =
+        [list, first].map(|list| list.into_iter().filter(|shown| shown.is_chosen).collect::<Vec<Shown>>());
+    let by_order = |list: Vec<Shown>, cameras: String| {
+        Ok(Matched { list, paths: paths.to_vec(), cameras, how: "matched by order" })
+    };
+    if paths.len() == all && (!is_clip || first.len() < all) {
+        return by_order(list, description);
     }
     if is_clip {
-        first.iter_mut().for_each(|shown| shown.name = format!("{:05}", shown.frame));
-        let names: Vec<&str> = first.iter().map(|shown| shown.name.as_str()).collect();
-        if let Some(paths) = side::by_name(paths, &names) {
-            return found(first, paths, of_first, by_name);
-        }
-        let is_named =
-            |shown: &Shown| paths.iter().any(|path| side::stem(&path.to_string_lossy()) == shown.name);
-        let some: Vec<Shown> = first.iter().filter(|shown| is_named(shown)).cloned().collect();
-        if some.len() == paths.len() {
-            return found(some, paths.to_vec(), of_first, by_name);
-        }
         if paths.len() == 1 {
             first.truncate(1);
         }
         if paths.len() == first.len() {
-            return found(first, paths.to_vec(), of_first, by_order);
+            return by_order(first, of_first);
         }
     }
-    bail!(
-        "{} pictures, and cameras and frames for {all}; as many are needed where names do not say which: \
-         --camera, --frames",
-        paths.len()
-    )
+    bail!("{counts}; as many are needed where names do not say which: --camera, --frames")
 }
 
-/// A picture that is to be rendered.
+/// A picture that may be rendered.
 #[derive(Clone)]
 struct Shown {
     name: String,
     frame: u32,
     camera: usize,
     from: Camera,
+    /// Whether its frame is one of those that are compared.
+    is_chosen: bool,
 }
 
-/// Pictures that are to be rendered, and from where.
+/// Pictures that may be rendered, and from where.
 struct Views {
     list: Vec<Shown>,
     /// For people: all cameras.
@@ -256,34 +298,22 @@ fn views(
     let is_clip = found.showing == Showing::Clip;
     let mut list = Vec::new();
     for (camera, view) in found.views.iter().enumerate() {
-        let name = side::stem(&view.name);
-        let shown = |frame: u32, name: String| Shown { name, frame, camera, from: view.camera.clone() };
+        let name = view.name.as_str();
+        let shown = |frame: u32, name: String| {
+            let is_chosen = chosen.contains(&frame);
+            Shown { name, frame, camera, from: view.camera.clone(), is_chosen }
+        };
         if is_clip {
-            let each = chosen.clone().map(|frame| shown(frame, format!("{frame:05}_camera{camera}")));
-            list.extend(each);
+            list.extend((0..count).map(|frame| shown(frame, format!("{frame:05}_camera{camera}"))));
             continue;
         }
         let frame = found.showing.frame_of(view, camera, count, &chosen)?;
-        if chosen.contains(&frame) {
-            let name = if name.is_empty() { format!("{camera:05}") } else { name.to_owned() };
-            list.push(shown(frame, name));
-        }
+        let name = if name.is_empty() { format!("{camera:05}") } else { name.to_owned() };
+        list.push(shown(frame, name));
     }
-    if list.is_empty() {
+    if !list.iter().any(|shown| shown.is_chosen) {
         bail!("nothing to compare: no camera shows a frame that is chosen");
     }
     let (description, of_first) = (found.of_frames(args.frames), found.of_first());
     Ok(Views { list, description, of_first, is_clip })
-}
-
-/// Gives pictures of the same name a number.
-fn unique(mut pairs: Vec<Pair>) -> Vec<Pair> {
-    let mut names = std::collections::BTreeSet::new();
-    for (i, pair) in pairs.iter_mut().enumerate() {
-        if !names.insert(pair.name.clone()) {
-            pair.name = format!("{}_{i:05}", pair.name);
-            names.insert(pair.name.clone());
-        }
-    }
-    pairs
 }

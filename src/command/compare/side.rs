@@ -2,12 +2,14 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
+    fs::File,
+    io::BufReader,
     path::{Path, PathBuf},
 };
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
-use render_host::Image;
+use render_host::{Image, image_file::claimed_size};
 
 use trainer_host::{
     edit::{self, Similarity, turn_between},
@@ -16,7 +18,7 @@ use trainer_host::{
 
 use crate::{
     args::{Compare, SceneArgs},
-    pipeline::Frames,
+    pipeline::{Frames, stem},
 };
 
 /// Endings of pictures.
@@ -137,21 +139,10 @@ fn natural(name: &str) -> Vec<(usize, String)> {
     parts
 }
 
-/// A name without its folders and ending.
-pub(super) fn stem(name: &str) -> &str {
-    let last = name.rsplit(['/', '\\']).next().unwrap_or_default();
-    last.rsplit_once('.').map_or(last, |(stem, _)| stem)
-}
-
-/// The pictures of `paths` in the order of `names`, matched by name; `None` where names do not say.
-pub(super) fn by_name(paths: &[PathBuf], names: &[&str]) -> Option<Vec<PathBuf>> {
-    let matching = |name: &&str| {
-        let wanted = stem(name);
-        let mut found = paths.iter().filter(|path| stem(&path.to_string_lossy()) == wanted);
-        let first = found.next()?;
-        (found.next().is_none() && !wanted.is_empty()).then(|| first.clone())
-    };
-    names.iter().map(matching).collect()
+/// Width and height of a picture, pixels.
+pub(super) fn size(path: &Path) -> Result<(u32, u32)> {
+    let file = File::open(path).with_context(|| format!("{}: cannot read", path.display()))?;
+    claimed_size(BufReader::new(file)).with_context(|| path.display().to_string())
 }
 
 /// Reads a picture.
@@ -217,7 +208,8 @@ impl<'p> Named<'p> {
     }
 }
 
-fn name_of(path: &Path) -> String {
+/// The file name of a picture.
+pub(super) fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
@@ -253,14 +245,5 @@ mod tests {
         let error = pairs(&twice, &one).unwrap_err().to_string();
         assert!(error.contains("goes with two pictures of A"), "{error}");
         assert!(pairs(&named, &list(&["y/a.png"])).unwrap_err().to_string().contains("as many are needed"));
-    }
-
-    #[test]
-    fn pictures_are_matched_by_name_where_all_names_say() {
-        let paths = ["x/r_1.png", "x/r_2.png"].map(PathBuf::from);
-        let found = by_name(&paths, &["./test/r_2", "./test/r_1"]).unwrap();
-        assert_eq!(found, ["x/r_2.png", "x/r_1.png"].map(PathBuf::from));
-        assert_eq!(by_name(&paths, &["r_1", "r_3"]), None);
-        assert_eq!(by_name(&paths, &["", ""]), None);
     }
 }

@@ -41,8 +41,16 @@ pub(in crate::command) struct FrameRun {
     pub(in crate::command) count: u32,
     pub(in crate::command) footprint: Footprint,
     pub(in crate::command) frames_per_second: f64,
-    /// Whether row `i` of each frame is row `i` of the next.
-    pub(in crate::command) identity_stored: bool,
+}
+
+/// A frame of a run.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::command) struct FrameToWrite<E> {
+    pub(in crate::command) epoch: E,
+    /// The frame in it.
+    pub(in crate::command) t: usize,
+    /// Whether its row `i` is row `i` of the frame before.
+    pub(in crate::command) has_rows_of_last: bool,
 }
 
 impl SceneOutput {
@@ -133,14 +141,13 @@ impl SceneOutput {
         format.losses(degree, footprint)
     }
 
-    /// Writes frames, except as `.4dgs`. `frame` gives one as an epoch and the frame in it; `progress` hears
-    /// of each.
+    /// Writes frames, except as `.4dgs`. `frame` gives one; `progress` hears of each.
     pub(in crate::command) fn write<E: Borrow<Epoch>>(
         self,
         out: &Path,
         run: FrameRun,
         progress: &Progress,
-        mut frame: impl FnMut(u32) -> Result<(E, usize)>,
+        mut frame: impl FnMut(u32) -> Result<FrameToWrite<E>>,
     ) -> Result<String> {
         let FrameRun { overwrite, only, count, footprint, .. } = run;
         let format = match self {
@@ -148,19 +155,21 @@ impl SceneOutput {
             Self::FourDgs => bail!("{}: .4dgs is written by dgs convert", out.display()),
             Self::Folder => {
                 let mut folder = FrameFolder::create(out, overwrite)?;
-                folder.name_clip(run.frames_per_second, run.identity_stored);
+                let mut identity_stored = true;
                 for number in 0..count {
                     progress.step("writing frame", number as usize, count as usize);
-                    let (epoch, t) = frame(number)?;
-                    let name = format!("frame_{number:05}.ply");
-                    let ply = FileFormat::Ply.encode(epoch.borrow(), t, footprint, Path::new(&name))?;
-                    folder.add(name, &ply.bytes)?;
+                    let FrameToWrite { epoch, t, has_rows_of_last } = frame(number)?;
+                    identity_stored &= has_rows_of_last || number == 0;
+                    // Without a Gaussian, too: of a clip a frame may show nothing.
+                    let ply = export::ply::encode(epoch.borrow(), t);
+                    folder.add(format!("frame_{number:05}.ply"), &ply)?;
                 }
+                folder.name_clip(run.frames_per_second, identity_stored);
                 let written = folder.finish(overwrite)?;
                 return Ok(format!("wrote {} to {}\n", counted(written, "PLY file"), out.display()));
             }
         };
-        let (epoch, t) = frame(only)?;
+        let FrameToWrite { epoch, t, .. } = frame(only)?;
         let failed = || out.display().to_string();
         let written = format.encode(epoch.borrow(), t, footprint, out).with_context(failed)?;
         let mut len = written.bytes.len();
@@ -180,6 +189,13 @@ impl SceneOutput {
         if clamped > 0 {
             text += &format!(
                 "  note: colours of {} were clamped to what the format holds\n",
+                counted(clamped, "Gaussian")
+            );
+        }
+        let clamped = format.clamped_scales(epoch.borrow(), t);
+        if clamped > 0 {
+            text += &format!(
+                "  note: scales of {} were clamped to what the format holds\n",
                 counted(clamped, "Gaussian")
             );
         }

@@ -11,6 +11,11 @@ use crate::{output::VerbOutput, pipeline::Quiet};
 const MISSING: &str = "Media over QUIC is in builds with `--features moq`; this is none";
 
 /// Refuses.
+pub(in crate::command) fn check(relay: &Locator, _streams: usize) -> Result<()> {
+    bail!("{relay}: {MISSING}")
+}
+
+/// Refuses.
 pub(in crate::command) fn publish(
     relay: &Locator,
     _trust: Trust,

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use dgs_quic::{
-    moq::{self, PublishConfig, PublishEvent, PublishReport},
+    moq::{self, PublishConfig, PublishError, PublishEvent, PublishReport},
     socket::{Locator, ServedStream, Trust, message::StreamChoice},
 };
 use serde_json::json;
@@ -12,6 +12,17 @@ use crate::{
     output::{self, VerbOutput},
     pipeline::Quiet,
 };
+
+/// Refuses so many streams under the name that `relay` has.
+pub(in crate::command) fn check(relay: &Locator, streams: usize) -> Result<()> {
+    match &relay.stream {
+        StreamChoice::Name(name) if streams > 1 => {
+            let error = PublishError::Name { name: name.clone(), streams };
+            Err(error).with_context(|| relay.to_string())
+        }
+        StreamChoice::Name(_) | StreamChoice::Index(_) => Ok(()),
+    }
+}
 
 /// Publishes `offers` at `relay` until Ctrl-C.
 pub(in crate::command) fn publish(

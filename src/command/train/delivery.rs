@@ -11,7 +11,7 @@ use anyhow::{Context, Result, bail};
 use serde_json::json;
 use trainer_host::{
     Scene,
-    encode::{EncodeOptions, Encoded, Protection, write},
+    encode::{Decisions, EncodeOptions, Encoded, Protection, no_progress, write},
     train::{
         self, Dataset,
         delivery::{
@@ -26,7 +26,6 @@ use self::{
     log::{DeliveryLog, line},
 };
 use super::{
-    encoding::encoded,
     figures::{decoded, figure},
     folder::Folder,
     interruption::Interruption,
@@ -34,7 +33,7 @@ use super::{
     training::options as typed,
 };
 use crate::{
-    args::train::Train,
+    args::train::{ENCODING_LOSS, EVALUATIONS, SPLIT, Train},
     files,
     output::VerbOutput,
     pipeline::{self, Quiet},
@@ -102,6 +101,10 @@ fn unused(args: &Train) -> Vec<&'static str> {
         ("--rigidity", args.rigidity.is_some()),
         ("--canonical-time", args.canonical_time.is_some()),
         ("--options", args.options.is_some()),
+        ("--frames", args.frames.is_some()),
+        ("--split", args.split != SPLIT),
+        ("--evaluations", args.evaluations != EVALUATIONS),
+        ("--encoding-loss", args.encoding_loss != ENCODING_LOSS),
     ];
     of_training.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
 }
@@ -117,15 +120,15 @@ pub(super) fn run(
     quiet: Quiet,
 ) -> Result<VerbOutput> {
     let background = args.background.unwrap_or(BACKGROUND);
-    let plain = encoded(args, scene, stop, "nothing was written", quiet)?;
     let pictures = (dataset, background, typed(args)?.max_side);
-    let Tuned { encoded: tuned, record, section, choice } =
+    let Tuned { encoded: tuned, given, record, section, choice } =
         fine_tuned(args, folder, scene, pictures, options, stop, quiet)?;
     let updates = record.objective.len();
     let interrupted = updates < options.updates;
     let bytes = tuned.stream.to_bytes()?;
     files::write(&folder.stream, &bytes)?;
-    let before = train::evaluate(&decoded(&plain)?, &dataset.test, 1, background)?;
+    let given = write(scene, &given, &no_progress)?;
+    let before = train::evaluate(&decoded(&given)?, &dataset.test, 1, background)?;
     let after = train::evaluate(&decoded(&tuned)?, &dataset.test, 1, background)?;
     let lead = format!("{} bytes as scene.dgs.", bytes.len());
     let page = document(&format!("Fine-tuning of {} for delivery", dataset.name), &lead, &section);
@@ -170,6 +173,8 @@ pub(super) fn run(
 /// What a fine-tuning led to.
 pub(super) struct Tuned {
     pub(super) encoded: Encoded,
+    /// What the encoder chose for the scene as it was given.
+    given: Decisions,
     pub(super) record: Record,
     /// What a page says of it, as HTML.
     pub(super) section: String,
@@ -212,7 +217,7 @@ pub(super) fn fine_tuned(
     let encoded = write(&tuned.scene, &tuned.decisions, &progress)?;
     let damage = Damage::of(scene, &tuned, &unseen(dataset, scene, max_side, background)?)?;
     let section = page::section(&tuned.record, seconds, &damage)?;
-    Ok(Tuned { encoded, record: tuned.record, section, choice })
+    Ok(Tuned { encoded, given: tuned.given, record: tuned.record, section, choice })
 }
 
 /// Makes the updates, from the checkpoint on where there is one, and keeps their log; and how many seconds

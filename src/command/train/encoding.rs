@@ -106,24 +106,6 @@ fn least_bytes(args: &Train, frames: usize, frames_per_second: f64) -> Result<u6
     Ok(encoded.stream.wire_bytes() as u64)
 }
 
-/// The stream of `scene` with the options typed; between two stages of the encoder a person may leave with
-/// `what_is_left`.
-pub(super) fn encoded(
-    args: &Train,
-    scene: &Scene,
-    stop: &Interruption,
-    what_is_left: &str,
-    quiet: Quiet,
-) -> Result<Encoded> {
-    let options = pipeline::encode_options(&args.codec, Protection::NONE);
-    let bar = Progress::new("encode", quiet.0);
-    let progress = |stage: &'static str, share: f64| {
-        stop.leave(what_is_left);
-        bar.heard(stage, share)
-    };
-    encode::encode(scene, &options, &progress).context("cannot encode")
-}
-
 /// Whether `args` say how fine steps are, so that a training must not choose them.
 pub(super) fn steps_are_typed(args: &Train) -> bool {
     let codec = &args.codec;

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use trainer_host::{
     Scene,
     train::{
-        Dataset,
+        Dataset, TrainOptions,
         dataset::rendered,
         epochs::{Parts, SplitOptions, part},
     },
@@ -22,7 +22,9 @@ use super::{
     log::Log,
     page::Ended,
     trained::Trained,
-    training::{DEFAULT_STEPS, begin, fit, options, resumed},
+    training::{
+        DEFAULT_STEPS, begin, check_length, check_options, fit, options, options_of_file, resumed, with_typed,
+    },
 };
 use crate::{args::train::Train, files, pipeline::Quiet, progress::Progress};
 
@@ -34,13 +36,15 @@ pub(super) struct Plan {
     pub(super) parts: Parts,
     /// Steps of all of them together.
     steps: u32,
+    /// Options of all of them together, but for what follows from how the result is encoded.
+    options: TrainOptions,
 }
 
 impl Plan {
     /// The plan that the folder of `args` holds, or that trials lead to; nothing where nothing was tried.
     ///
     /// # Errors
-    /// A trial that fails, or a file that is no plan.
+    /// A trial that fails, a file that is no plan, or other options than those of the plan.
     pub(super) fn of(
         args: &Train,
         folder: &Folder,
@@ -61,16 +65,18 @@ impl Plan {
             if last != scene.frames() {
                 bail!("{}: of {last} frames; the scene has {}", path.display(), scene.frames());
             }
+            check_options(args, &plan.options).with_context(failed)?;
             return Ok(Some(plan));
         }
         if args.split == 0.0 || args.frames.is_some() {
             return Ok(None);
         }
         let bar = Progress::new("look for epochs", quiet.0);
+        let options = options(args)?;
         let found = part(
             scene,
             dataset,
-            &options(args)?,
+            &options,
             SplitOptions { gain_db: args.split, ..SplitOptions::default() },
             &mut |trial| {
                 stop.leave("nothing was written");
@@ -81,7 +87,11 @@ impl Plan {
         if found.trials.is_empty() {
             return Ok(None);
         }
-        let plan = Self { parts: found, steps: args.steps.unwrap_or(DEFAULT_STEPS) };
+        let plan = Self {
+            parts: found,
+            steps: args.steps.unwrap_or(DEFAULT_STEPS),
+            options: TrainOptions { finish: options_of_file(args)?.finish, ..options },
+        };
         if plan.is_parted() {
             files::write(path, serde_json::to_string_pretty(&plan)?.as_bytes())?;
         }
@@ -114,7 +124,7 @@ impl Plan {
     /// asked to stop: `--resume` goes on.
     ///
     /// # Errors
-    /// As those of each training.
+    /// As those of each training; a typed length that it cannot take.
     pub(super) fn train(
         &self,
         args: &Train,
@@ -125,13 +135,27 @@ impl Plan {
     ) -> Result<Option<(Trained, Log, Ended)>> {
         let backend = render_host::Backend::open(args.device.into()).context("--device")?;
         let mut whole: Option<(Trained, Log)> = None;
+        let (typed, mut is_complete) = (args, true);
         for (index, frames) in self.parts.frames.iter().enumerate() {
-            let out = epoch_folder(&args.out, index);
-            let (args, folder) = (self.args_of(args, &out, frames.len(), dataset.frames)?, Folder::of(&out));
+            let out = epoch_folder(&typed.out, index);
+            let (args, folder) = (self.args_of(typed, &out, frames.len(), dataset.frames), Folder::of(&out));
             let _lock = folder.open(&args)?;
             let part = rendered::part(dataset, scene, frames.clone());
             let resumed = resumed(&args, &folder)?;
-            let (mut trainer, begun) = begin(&args, &folder, resumed, &part, &backend)?;
+            let options = with_typed(self.options.clone(), &args);
+            let (mut trainer, begun) = begin(&args, &folder, resumed, &options, &part, &backend)?;
+            is_complete &= begun >= 1.0;
+            if let (Some(all), Some(share)) = (typed.steps, args.steps)
+                && begun < 1.0
+                && share <= trainer.steps()
+            {
+                bail!(
+                    "--steps is {all}, {share} of them for {}; the checkpoint there has taken {}: more are \
+                     needed",
+                    out.display(),
+                    trainer.steps()
+                );
+            }
             let mut log =
                 if args.resume { Log::resumed(&folder.log, trainer.steps())? } else { Log::default() };
             let ended = fit(&args, &folder, &part, &mut trainer, begun, &mut log, stop, quiet)?;
@@ -145,6 +169,9 @@ impl Plan {
             });
         }
         let (trained, log) = whole.context("a plan without epochs")?;
+        if is_complete {
+            check_length(typed, trained.steps, 1.0)?;
+        }
         let ended = Ended { seconds: log.seconds(), interrupted: false };
         Ok(Some((trained, log, ended)))
     }
@@ -157,10 +184,10 @@ impl Plan {
     }
 
     /// What the training of a part of `frames` frames is asked for.
-    fn args_of(&self, args: &Train, out: &Path, frames: usize, all: usize) -> Result<Train> {
+    fn args_of(&self, args: &Train, out: &Path, frames: usize, all: usize) -> Train {
         let share = frames as f64 / all.max(1) as f64;
         // The bound is that of all parts together, as it was in the trials.
-        let gaussians = (options(args)?.max_gaussians as f64 * share) as usize;
+        let gaussians = (self.options.max_gaussians as f64 * share) as usize;
         let mut args = args.clone();
         args.gaussians = Some(gaussians.max(1));
         let steps = f64::from(args.steps.unwrap_or(self.steps));
@@ -169,6 +196,6 @@ impl Plan {
         args.codec.target_bytes = args.codec.target_bytes.map(|bytes| (bytes as f64 * share) as u64);
         args.resume &= Folder::of(out).checkpoint.is_file();
         out.clone_into(&mut args.out);
-        Ok(args)
+        args
     }
 }

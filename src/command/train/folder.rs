@@ -1,6 +1,7 @@
 //! Names the files of a training, and opens the folder they are in.
 
 use std::{
+    collections::BTreeMap,
     fs::{File, TryLockError},
     path::{Path, PathBuf},
 };
@@ -90,7 +91,18 @@ impl Folder {
         self.files().into_iter().try_for_each(files::check)?;
         let of_epochs = epoch_folders(out).map(|epoch| Self::of(&epoch)).collect::<Vec<_>>();
         let all = || std::iter::once(self).chain(&of_epochs).flat_map(Self::files);
-        all().try_for_each(|file| files::check_apart(file, &[Path::new(&args.input)]))?;
+        let read =
+            [Some(Path::new(&args.input)), args.options.as_deref(), args.delivery.as_ref().map(Path::new)];
+        let read: Vec<&Path> = read.into_iter().flatten().collect();
+        all().try_for_each(|file| files::check_apart(file, &read))?;
+        let is_free = args.resume || args.overwrite || is_of_training(&self.encoder);
+        if let Some(file) = all().find(|file| !is_free && file.exists()) {
+            bail!(
+                "{}: is there already, and a training writes a file of that name: name another folder, or \
+                 --overwrite",
+                file.display()
+            );
+        }
         if args.resume {
             return Ok(lock);
         }
@@ -137,5 +149,68 @@ fn lock(out: &Path) -> Result<Option<File>> {
             bail!("{}: another dgs train is at work in it; another --out is needed", out.display())
         }
         Err(TryLockError::Error(_)) => Ok(None),
+    }
+}
+
+/// Whether `file` holds options of the encoder: all that a training leaves that is killed before its first
+/// checkpoint.
+fn is_of_training(file: &Path) -> bool {
+    let options = std::fs::read(file).unwrap_or_default();
+    let options: BTreeMap<String, String> = serde_json::from_slice(&options).unwrap_or_default();
+    options.contains_key("--encoding-loss")
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+
+    #[derive(Debug, clap::Parser)]
+    struct Typed {
+        #[command(flatten)]
+        train: Train,
+    }
+
+    fn opened(out: &Path, typed: &[&str]) -> Result<()> {
+        let out_text = out.display().to_string();
+        let all = ["train", "synth:balls", "-o", &out_text].into_iter().chain(typed.iter().copied());
+        let args = Typed::try_parse_from(all).unwrap().train;
+        Folder::of(out).open(&args).map(drop)
+    }
+
+    /// Files of other verbs, and of the person, stay where nobody says that they may go.
+    #[test]
+    fn files_of_others_are_neither_removed_nor_replaced() {
+        for name in ["delivery.json", "registration.json", "report.html", "log.csv"] {
+            let folder = tempfile::tempdir().unwrap();
+            let file = folder.path().join(name);
+            std::fs::write(&file, "mine").unwrap();
+            let error = opened(folder.path(), &[]).unwrap_err().to_string();
+            assert!(error.contains(name) && error.contains("--overwrite"), "{error}");
+            assert_eq!(std::fs::read(&file).unwrap(), b"mine");
+            opened(folder.path(), &["--overwrite"]).unwrap();
+            assert!(!file.exists());
+        }
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("notes.txt"), "mine").unwrap();
+        opened(folder.path(), &[]).unwrap();
+        // What is read is not written, whatever may be replaced.
+        let options = folder.path().join("delivery.json");
+        std::fs::write(&options, "{}").unwrap();
+        let typed = ["--overwrite", "--delivery", options.to_str().unwrap()];
+        let error = opened(folder.path(), &typed).unwrap_err().to_string();
+        assert!(error.contains("read or written besides") && options.exists(), "{error}");
+    }
+
+    #[test]
+    fn a_training_that_has_hardly_begun_begins_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let encoder = folder.path().join("encoder.json");
+        std::fs::write(&encoder, r#"{"--encoding-loss": "0.1"}"#).unwrap();
+        std::fs::write(folder.path().join("log.csv"), "").unwrap();
+        opened(folder.path(), &[]).unwrap();
+        std::fs::write(&encoder, r#"{"of": "another"}"#).unwrap();
+        assert!(opened(folder.path(), &[]).is_err());
     }
 }

@@ -52,22 +52,22 @@ pub(super) fn resumed(args: &Train, folder: &Folder) -> Result<Option<Checkpoint
     Ok(Some(checkpoint))
 }
 
-/// A trainer on `backend`, at its start or at its checkpoint, and how far it had come.
+/// A trainer on `backend`, at its checkpoint or with `options` at its start, and how far it had come.
 pub(super) fn begin<'d>(
     args: &Train,
     folder: &Folder,
     resumed: Option<Checkpoint>,
+    options: &train::TrainOptions,
     dataset: &'d Dataset,
     backend: &Backend,
 ) -> Result<(Trainer<'d>, f64)> {
     if let Some(checkpoint) = resumed {
         let failed = || folder.checkpoint.display().to_string();
-        let progress = checkpoint.progress;
+        let progress = checkpoint.progress();
         let rate = args.scene.fps.unwrap_or(checkpoint.frames_per_second);
         let trainer = checkpoint.resume(dataset).with_context(failed)?.on(backend)?;
         return Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), progress));
     }
-    let options = options(args)?;
     let posed = options.max_gaussians.saturating_mul(dataset.frames);
     if posed > Checkpoint::MAX_POSED {
         bail!(
@@ -77,12 +77,12 @@ pub(super) fn begin<'d>(
             Checkpoint::MAX_POSED
         );
     }
-    let trainer = Trainer::new(dataset, &options)?.on(backend)?;
+    let trainer = Trainer::new(dataset, options)?.on(backend)?;
     Ok((trainer.encoded_by(encoding_of(args, dataset, args.scene.frames_per_second())), 0.0))
 }
 
 /// Refuses options that are others than those that the checkpoint goes on with.
-fn check_options(args: &Train, resumed: &train::TrainOptions) -> Result<()> {
+pub(super) fn check_options(args: &Train, resumed: &train::TrainOptions) -> Result<()> {
     let typed = options(args)?;
     let number = |typed: Option<f64>, resumed: f32| typed.is_some_and(|typed| typed as f32 != resumed);
     // What the trainer fills in, and what follows from how the result is encoded.
@@ -123,9 +123,14 @@ fn check_options(args: &Train, resumed: &train::TrainOptions) -> Result<()> {
     Ok(())
 }
 
-/// Refuses a length that a training at `progress` of its own cannot take.
-pub(super) fn check_length(args: &Train, trainer: &Trainer, progress: f64) -> Result<()> {
-    let taken = trainer.steps();
+/// Refuses a length that a training at `progress` of its own, `taken` steps, cannot take.
+pub(super) fn check_length(args: &Train, taken: u32, progress: f64) -> Result<()> {
+    if args.resume && progress <= 0.0 && args.steps.is_none() && args.minutes.is_none() {
+        bail!(
+            "--resume: the checkpoint is of the start of a training, which does not say how long that was to \
+             be: type --steps or --minutes"
+        );
+    }
     if progress >= 1.0 && (args.minutes.is_some() || args.steps.is_some_and(|steps| steps > taken)) {
         bail!(
             "--resume: the training is complete, after {taken} steps; rates and stages follow the length \
@@ -140,16 +145,21 @@ pub(super) fn check_length(args: &Train, trainer: &Trainer, progress: f64) -> Re
 
 /// The options of the file, if there is one, and what was typed besides.
 pub(super) fn options(args: &Train) -> Result<train::TrainOptions> {
-    let mut options = match &args.options {
-        None => train::TrainOptions::default(),
-        Some(path) => {
-            let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-            if !text.trim_start().starts_with('{') {
-                bail!("{}: an object, {{\"max_gaussians\": …}}, is needed", path.display());
-            }
-            serde_json::from_str(&text).with_context(|| path.display().to_string())?
-        }
-    };
+    Ok(with_typed(options_of_file(args)?, args))
+}
+
+/// The options of the file; the defaults where there is none.
+pub(super) fn options_of_file(args: &Train) -> Result<train::TrainOptions> {
+    let Some(path) = &args.options else { return Ok(train::TrainOptions::default()) };
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    if !text.trim_start().starts_with('{') {
+        bail!("{}: an object, {{\"max_gaussians\": …}}, is needed", path.display());
+    }
+    serde_json::from_str(&text).with_context(|| path.display().to_string())
+}
+
+/// `options`, and what was typed besides.
+pub(super) fn with_typed(mut options: train::TrainOptions, args: &Train) -> train::TrainOptions {
     options.seed = args.scene.seed.unwrap_or(options.seed);
     options.footprint = args.scene.footprint.map(Into::into).or(options.footprint);
     let set = |to: &mut f32, typed: Option<f64>| *to = typed.map_or(*to, |v| v as f32);
@@ -172,7 +182,7 @@ pub(super) fn options(args: &Train) -> Result<train::TrainOptions> {
             DensityName::Relocate => DensityControl::Relocate,
         };
     }
-    Ok(options)
+    options
 }
 
 /// Takes steps until the budget is spent or a person asks to stop.
@@ -192,9 +202,8 @@ pub(super) fn fit(
     let before = log.seconds();
     let mut progress = begun;
     let steps = steps(args, trainer, begun);
-    // A training that goes on at its own length may fall back to before where it was left.
-    let is_own_length = (f64::from(trainer.steps()) - begun * steps).abs() < 0.5;
-    let least = if is_own_length { 0.0 } else { begun };
+    // Of another length than before, a training stays where it was left until its steps have come so far.
+    let mut least = begun;
     let glances = f64::from(args.evaluations);
     let after = |progress: f64| ((progress * glances).floor() + 1.0) / glances;
     let mut next_glance = if begun > 0.0 { after(begun) } else { 0.0 };
@@ -204,16 +213,25 @@ pub(super) fn fit(
             Ok(report) => report,
             Err(error) => {
                 // What was reached before is kept.
-                save(folder, dataset, trainer, progress)?;
+                save(folder, dataset, trainer, trainer.progress())?;
                 files::write(&folder.log, log.csv().as_bytes())?;
-                return Err(error)
-                    .with_context(|| format!("{}: holds what was reached", folder.checkpoint.display()));
+                return Err(error).with_context(|| {
+                    format!(
+                        "{}: holds what was reached, and --resume keeps its options; others are for a new \
+                         training (--overwrite)",
+                        folder.checkpoint.display()
+                    )
+                });
             }
         };
         let seconds = clock.elapsed().as_secs_f64();
+        if report.rollback.is_some() {
+            // It may have fallen back to before where it was left.
+            least = least.min(trainer.progress());
+        }
         progress = match args.minutes {
             None => (f64::from(report.step) / steps).max(least),
-            Some(minutes) => begun + (1.0 - begun) * (seconds / (60.0 * minutes * (1.0 - begun).max(1e-9))),
+            Some(minutes) => begun + seconds / (60.0 * minutes),
         };
         if let Some((step, what)) = &report.rollback {
             let note = format!("step {step}: {what}; fell back to step {}, with half the rates", report.step);

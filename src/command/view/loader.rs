@@ -94,9 +94,11 @@ fn named(name: &str, act: impl FnOnce() + Send + 'static) -> Result<JoinHandle<(
 }
 
 /// The session's end: packets go to the window.
-struct Forwarding {
+struct Forwarding<'s> {
     arrivals: SyncSender<Arrival>,
     requests: Receiver<FeedRequest>,
+    /// Ends the session.
+    stop: &'s AtomicBool,
     /// Packets that came before the manifest; `None` after it.
     early: Option<Vec<Vec<u8>>>,
     /// The round that is wanted, and when the last was begun.
@@ -109,7 +111,7 @@ struct Forwarding {
     waiting: VecDeque<Arrival>,
 }
 
-impl Forwarding {
+impl Forwarding<'_> {
     /// A window that is slow or hidden loses packets as a network does, and nothing else.
     fn send(&mut self, arrival: Arrival) {
         self.send_waiting();
@@ -136,7 +138,7 @@ impl Forwarding {
     }
 }
 
-impl FrameSink for Forwarding {
+impl FrameSink for Forwarding<'_> {
     fn show(&mut self, _: &mut dgs_player::Player, _: u32) -> Result<(), String> {
         self.send_waiting();
         Ok(())
@@ -158,14 +160,20 @@ impl FrameSink for Forwarding {
     }
 
     fn requested_round(&mut self) -> Option<RoundRequest> {
-        for request in self.requests.try_iter() {
-            match request {
-                FeedRequest::From(seconds) => self.wanted_us = Some((seconds * 1e6) as u64),
-                FeedRequest::Network { conditions: network, scheduler } => {
+        loop {
+            match self.requests.try_recv() {
+                Ok(FeedRequest::From(seconds)) => self.wanted_us = Some((seconds * 1e6) as u64),
+                Ok(FeedRequest::Network { conditions: network, scheduler }) => {
                     self.conditions = Some(conditions(network.as_ref(), scheduler));
                 }
-                FeedRequest::Sight(pose) => self.pose = Some(pose),
-                FeedRequest::Bytes(_) | FeedRequest::Whole => {}
+                Ok(FeedRequest::Sight(pose)) => self.pose = Some(pose),
+                Ok(FeedRequest::Bytes(_) | FeedRequest::Whole) => {}
+                Err(TryRecvError::Empty) => break,
+                // The window shows something else, or is gone.
+                Err(TryRecvError::Disconnected) => {
+                    self.stop.store(true, Ordering::Relaxed);
+                    return None;
+                }
             }
         }
         if self.round_at.is_some_and(|at| at.elapsed() < ROUND_EVERY) {
@@ -211,6 +219,7 @@ fn load_session(config: &ClientConfig, feeder: Feeder, stop: &AtomicBool) {
     let mut screen = Forwarding {
         arrivals,
         requests,
+        stop,
         early: Some(Vec::new()),
         wanted_us: None,
         conditions: None,
@@ -395,6 +404,17 @@ fn body(response: Response<Body>, most: u64) -> Result<Vec<u8>> {
 mod tests {
     use super::*;
 
+    /// A session's end after its manifest.
+    fn forwarding(
+        arrivals: SyncSender<Arrival>,
+        requests: Receiver<FeedRequest>,
+        stop: &AtomicBool,
+    ) -> Forwarding<'_> {
+        let (wanted_us, conditions, round_at, pose) = (None, None, None, None);
+        let waiting = VecDeque::new();
+        Forwarding { arrivals, requests, stop, early: None, wanted_us, conditions, round_at, pose, waiting }
+    }
+
     #[test]
     fn a_content_range_says_where_a_part_lies() {
         assert_eq!(content_range("bytes 5-9/200"), Some((5, 200)));
@@ -406,11 +426,9 @@ mod tests {
     #[test]
     fn what_must_arrive_waits_for_room_and_packets_do_not() {
         let (arrivals, window) = std::sync::mpsc::sync_channel(1);
-        let (_, requests) = std::sync::mpsc::channel();
-        let (wanted_us, conditions, round_at, pose) = (None, None, None, None);
-        let waiting = VecDeque::new();
-        let mut screen =
-            Forwarding { arrivals, requests, early: None, wanted_us, conditions, round_at, pose, waiting };
+        let (_requested, requests) = std::sync::mpsc::channel();
+        let stop = AtomicBool::new(false);
+        let mut screen = forwarding(arrivals, requests, &stop);
         screen.media(&[1]);
         screen.media(&[2]);
         screen.forget();
@@ -422,5 +440,18 @@ mod tests {
         screen.media(&[4]);
         assert!(matches!(window.recv().unwrap(), Arrival::Packet(packet) if packet == [4]));
         assert!(window.try_recv().is_err());
+    }
+
+    #[test]
+    fn a_session_ends_when_the_window_shows_something_else() {
+        let (Feeder { arrivals, requests }, window) = feed();
+        let stop = AtomicBool::new(false);
+        let mut screen = forwarding(arrivals, requests, &stop);
+        assert_eq!(screen.requested_round(), None);
+        assert!(!stop.load(Ordering::Relaxed));
+        drop(window);
+        screen.media(&[1]);
+        assert_eq!(screen.requested_round(), None);
+        assert!(stop.load(Ordering::Relaxed));
     }
 }

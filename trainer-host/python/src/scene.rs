@@ -16,7 +16,7 @@ use trainer_host::{
     edit::{self, Similarity, turn_between},
     encode::{self, EncodeOptions},
     export::{self, FileFormat},
-    import::{self, Format, ImportOptions, Limits, gltf, synth},
+    import::{self, Format, ImportOptions, Limits, SEQUENCE_INDEX, SequenceIndex, gltf, synth},
     scene::Up,
     stream::{Stream, decoded},
     viewpoint::{Framing, Ring},
@@ -49,6 +49,24 @@ pub fn up_of(name: &str) -> PyResult<Up> {
         let names = Up::ALL.map(|up| up.to_string()).join(", ");
         refused(format!("up is {name:?}; {names} are allowed"))
     })
+}
+
+/// A clip of an animated mesh, as a caller names it.
+#[derive(FromPyObject)]
+pub enum ClipArgument {
+    /// By place in the file, from 0.
+    Number(i128),
+    /// By name, or by place as text.
+    Text(String),
+}
+
+impl ClipArgument {
+    fn clip(self) -> PyResult<gltf::Clip> {
+        Ok(match self {
+            Self::Number(number) => gltf::Clip::Index(whole("clip", number)?),
+            Self::Text(text) => text.parse().map_or_else(|_| gltf::Clip::Name(text), gltf::Clip::Index),
+        })
+    }
 }
 
 /// Most cameras of a ring.
@@ -95,17 +113,20 @@ fn decode(path: &Path) -> PyResult<(trainer_host::Scene, Option<String>)> {
             sh_rest: shown.sh_rest.to_vec(),
             sh_degree: shown.sh_degree,
         };
-        frames.push(decoded::snapshot(&instant).map_err(refused)?.0);
+        frames.push(decoded::snapshot(&instant).map_err(refused)?);
     }
-    let mut scene = decoded::joined(frames, player.manifest().frames_per_second()).map_err(refused)?;
+    let manifest = player.manifest();
+    let starts = decoded::epoch_starts(manifest);
+    let mut scene = decoded::joined(frames, &starts, manifest.frames_per_second()).map_err(refused)?;
     scene.footprint = player.info().footprint;
+    scene.up = manifest.up();
     let damage = (!damage.is_none()).then(|| format!("{}: {damage}; the rest is used", path.display()));
     Ok((scene, damage))
 }
 
-/// `scene` turned so that up is where it usually is in `format`.
-fn turned(scene: &trainer_host::Scene, format: FileFormat) -> PyResult<Option<trainer_host::Scene>> {
-    let (from, to) = (scene.up, format.default_up());
+/// `scene` turned so that `to` is up, unless it is.
+fn turned(scene: &trainer_host::Scene, to: Up) -> PyResult<Option<trainer_host::Scene>> {
+    let from = scene.up;
     if from == to {
         return Ok(None);
     }
@@ -127,17 +148,34 @@ fn write_frame(scene: &trainer_host::Scene, format: FileFormat, path: &Path, fra
     std::fs::write(path, files.bytes).map_err(failed)
 }
 
-/// Writes every frame as a PLY into the folder `path`, which must be empty or not there.
+/// Writes every frame as a PLY into the folder `path`, which must be empty or not there. Its index says that
+/// frames are missing until all are there.
 fn write_folder(scene: &trainer_host::Scene, path: &Path) -> PyResult<()> {
     std::fs::create_dir_all(path).map_err(|error| of_file(path, &error))?;
     let mut entries = std::fs::read_dir(path).map_err(|error| of_file(path, &error))?;
     if entries.next().is_some() {
         return Err(refused(format!("{}: the folder is not empty", path.display())));
     }
-    for frame in 0..scene.frames() as i64 {
-        write_frame(scene, FileFormat::Ply, &path.join(format!("frame_{frame:05}.ply")), frame)?;
+    let put = |name: &str, bytes: &[u8]| {
+        let path = path.join(name);
+        std::fs::write(&path, bytes).map_err(|error| of_file(&path, &error))
+    };
+    let put_index =
+        |index: &SequenceIndex| put(SEQUENCE_INDEX, &serde_json::to_vec_pretty(index).map_err(refused)?);
+    let mut index = SequenceIndex {
+        frames_per_second: Some(scene.frames_per_second()),
+        identity_stored: scene.epochs().len() == 1,
+        ..SequenceIndex::default()
+    };
+    put_index(&index)?;
+    for frame in 0..scene.frames() {
+        let Some((epoch, t)) = scene.locate(frame) else { continue };
+        let name = format!("frame_{frame:05}.ply");
+        put(&name, &export::ply::encode(&scene.epochs()[epoch], t))?;
+        index.files.push(name);
     }
-    Ok(())
+    (index.frames, index.complete) = (index.files.len(), true);
+    put_index(&index)
 }
 
 /// Writes `scene` as the ending of `path` says.
@@ -148,14 +186,17 @@ pub fn save(scene: &trainer_host::Scene, path: &Path, frame: i64, keep_axes: boo
         let bytes = encoded.stream.to_bytes().map_err(refused)?;
         return std::fs::write(path, bytes).map_err(|error| of_file(path, &error));
     }
-    if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("4dgs")) {
+    let is_folder = path.is_dir() || path.extension().is_none();
+    let is_clip = !is_folder && path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("4dgs"));
+    let format = if is_folder || is_clip { FileFormat::Ply } else { format_of(path)? };
+    // A .4dgs file has y up, as `dgs convert` writes it.
+    let up = if is_clip { Up::Y } else { format.default_up() };
+    let turned = if keep_axes { None } else { turned(scene, up)? };
+    let scene = turned.as_ref().unwrap_or(scene);
+    if is_clip {
         let bytes = export::fourdgs::encode(scene).map_err(|error| of_file(path, &error))?;
         return std::fs::write(path, bytes).map_err(|error| of_file(path, &error));
     }
-    let is_folder = path.is_dir() || path.extension().is_none();
-    let format = if is_folder { FileFormat::Ply } else { format_of(path)? };
-    let turned = if keep_axes { None } else { turned(scene, format)? };
-    let scene = turned.as_ref().unwrap_or(scene);
     if is_folder { write_folder(scene, path) } else { write_frame(scene, format, path, frame) }
 }
 
@@ -185,7 +226,7 @@ impl Scene {
         path: PathBuf,
         fps: Option<f64>,
         samples: i128,
-        clip: Option<String>,
+        clip: Option<ClipArgument>,
         seed: i128,
         identity_stored: bool,
         keep_readable: bool,
@@ -195,6 +236,10 @@ impl Scene {
         let (up, fps) = (up.map(up_of).transpose()?, fps.map(checked_rate).transpose()?);
         let (samples, seed) = (whole("samples", samples)?, whole("seed", seed)?);
         let max_gaussians = whole("max_gaussians", max_gaussians)?;
+        let clip = clip.map_or(Ok(gltf::Clip::First), ClipArgument::clip)?;
+        if samples == 0 {
+            return Err(refused("samples is 0; a whole number of at least 1 is wanted"));
+        }
         if !path.exists() {
             return Err(of_file(&path, &std::io::Error::from(std::io::ErrorKind::NotFound)));
         }
@@ -204,12 +249,11 @@ impl Scene {
                 let message = std::ffi::CString::new(damage).map_err(refused)?;
                 PyErr::warn(py, &py.get_type::<PyUserWarning>(), &message, 1)?;
             }
-            scene.up = up.unwrap_or_default();
+            scene.up = up.unwrap_or(scene.up);
             return Ok(Self(scene));
         }
         let limits = Limits { max_gaussians, keep_readable, ..Limits::default() };
         let identity = if identity_stored { import::Identity::Stored } else { import::Identity::PerFrame };
-        let clip = clip.map_or(gltf::Clip::First, gltf::Clip::Name);
         let frames_per_second = fps.unwrap_or(ImportOptions::FRAMES_PER_SECOND);
         let mesh = gltf::GltfOptions { clip, frames_per_second, samples, seed, ..Default::default() };
         let options = ImportOptions {

@@ -1,8 +1,10 @@
 """Scenes of arrays and files: what comes back, and what is refused in which words."""
 
+import base64
 import copy
 import errno
 import importlib.metadata
+import json
 import pathlib
 import pickle
 from collections.abc import Callable
@@ -140,25 +142,110 @@ def test_scenes_are_copied_and_not_pickled() -> None:
         pickle.dumps(scene)
 
 
-@pytest.mark.parametrize("ending", ["ply", "compressed.ply", "spz", "sog", "glb", "4dgs", "dgs"])
-def test_files_come_back(tmp_path: pathlib.Path, ending: str) -> None:
+# Unit vectors of what ``Scene.up`` may be.
+AXES: dict[str, Any] = {
+    sign + name: factor * axis
+    for sign, factor in (("", 1.0), ("minus-", -1.0))
+    for name, axis in zip("xyz", np.eye(3), strict=True)
+}
+
+
+def height(scene: dgs.Scene) -> float:
+    """Of the middle of the scene's centres, upwards."""
+    return float(scene.bounds.mean(axis=0) @ AXES[scene.up])
+
+
+@pytest.mark.parametrize("ending", ["ply", "compressed.ply", "spz", "splat", "sog", "glb", "4dgs", "dgs"])
+@pytest.mark.parametrize("up", ["minus-y", "y", "z"])
+def test_files_come_back(tmp_path: pathlib.Path, ending: str, up: Any) -> None:
     given = arrays(frames=1)
-    scene = dgs.Scene.from_arrays(**given)
+    # Away from the middle, so that a scene on its head is noticed.
+    given["means"] += 10 * AXES[up].astype(np.float32)
+    scene = dgs.Scene.from_arrays(**given, up=up)
     path = tmp_path / f"scene.{ending}"
     scene.save(path)
-    back = dgs.Scene.load(path, up="minus-y")
+    back = dgs.Scene.load(path)
     assert back.gaussians == 50 and len(back) == 1
-    # Some formats turn the scene, all may change the order: what is the same is the span of the centres.
+    # Some formats turn the scene, all may change the order: what is the same is how high it lies and the span.
+    assert height(back) == pytest.approx(height(scene), rel=2e-3) and height(back) > 9
     span = np.sort(scene.bounds[1] - scene.bounds[0])
     assert np.allclose(np.sort(back.bounds[1] - back.bounds[0]), span, rtol=2e-3)
+    if ending == "dgs":
+        assert back.up == up and dgs.Stream(path).info["up"] == up
+        assert dgs.Scene.load(path, up="x").up == "x"
+    if ending == "4dgs":
+        assert back.up == "y"
+        scene.save(path, keep_axes=True)
+        assert np.allclose(dgs.Scene.load(path, up=up).bounds, scene.bounds, atol=0.02)
 
 
 def test_a_folder_holds_every_frame_and_is_not_written_over(tmp_path: pathlib.Path) -> None:
-    scene = dgs.Scene.from_arrays(**arrays())
+    scene = dgs.Scene.from_arrays(**arrays(), fps=12.0)
     scene.save(tmp_path / "frames")
-    assert len(dgs.Scene.load(tmp_path / "frames", identity_stored=True)) == 3
+    back = dgs.Scene.load(tmp_path / "frames")
+    # Rate and identity are in its index: each Gaussian lives through all frames.
+    assert (len(back), back.fps, back.gaussians) == (3, 12.0, 50)
+    assert not any("identity" in note for note in back.notes)
+    assert np.array_equal(back.at(2).means, scene.at(2).means)
     with pytest.raises(ValueError, match="not empty"):
         scene.save(tmp_path / "frames")
+
+
+def moving_triangle(path: pathlib.Path) -> None:
+    """Writes a mesh with two clips, "rise" and one without a name."""
+    values = {
+        "corners": np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32),
+        "times": np.array([0, 1], np.float32),
+        "rise": np.array([[0, 0, 0], [0, 2, 0]], np.float32),
+        "slide": np.array([[0, 0, 0], [3, 0, 0]], np.float32),
+    }
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    data = b""
+    for number, array in enumerate(values.values()):
+        is_scalar = array.ndim == 1
+        bounds = {"min": array.min(axis=0).reshape(-1).tolist(), "max": array.max(axis=0).reshape(-1).tolist()}
+        kind = {"componentType": 5126, "count": len(array), "type": "SCALAR" if is_scalar else "VEC3"}
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": array.nbytes})
+        accessors.append({"bufferView": number, **kind, **bounds})
+        data += array.tobytes()
+    clips: list[dict[str, Any]] = [
+        {
+            "samplers": [{"input": 1, "output": output}],
+            "channels": [{"sampler": 0, "target": {"node": 0, "path": "translation"}}],
+        }
+        for output in (2, 3)
+    ]
+    clips[0]["name"] = "rise"
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "buffers": [{"uri": uri, "byteLength": len(data)}],
+        "bufferViews": views,
+        "accessors": accessors,
+        "animations": clips,
+    }
+    path.write_text(json.dumps(document))
+
+
+def test_clips_are_chosen_by_name_and_number(tmp_path: pathlib.Path) -> None:
+    path = tmp_path / "triangle.gltf"
+    moving_triangle(path)
+    wanted: list[tuple[int | str | None, int]] = [(None, 3), (0, 3), ("0", 3), ("rise", 3), (1, 1), ("1", 1)]
+    for clip, highest in wanted:
+        scene = dgs.Scene.load(path, clip=clip, samples=1000)
+        assert highest - 0.2 < scene.bounds[1, 1] <= highest, clip
+    mistakes: list[Any] = ["fall", 2, -1]
+    for clip in mistakes:
+        with pytest.raises(ValueError, match="clip") as caught:
+            dgs.Scene.load(path, clip=clip)
+        assert not isinstance(caught.value, dgs.DamagedError), clip
+    with pytest.raises(ValueError, match="samples is 0"):
+        dgs.Scene.load(path, samples=0)
 
 
 def test_convert_is_load_and_save(tmp_path: pathlib.Path) -> None:

@@ -42,6 +42,7 @@ impl Decisions {
     pub fn followed_by(self, next: Self) -> Option<Self> {
         let (Self::Dgs1(mut decisions), Self::Dgs1(next)) = (self, next) else { return None };
         decisions.made_from.quantiser_classes.extend(next.made_from.quantiser_classes);
+        decisions.made_from.epoch_gaussians.extend(next.made_from.epoch_gaussians);
         decisions.epochs.extend(next.epochs);
         Some(Self::Dgs1(decisions))
     }
@@ -65,6 +66,9 @@ pub struct DecisionInputs {
     pub quantiser_classes: Vec<QuantiserClass>,
     /// How Gaussians were clustered.
     pub clustering: cluster::ClusterOptions,
+    /// Gaussians of each epoch of the scene, those that are never drawn included; empty where nobody says.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub epoch_gaussians: Vec<usize>,
 }
 
 /// Gaussians that share steps.

@@ -54,11 +54,15 @@ pub(super) fn decide(
         let epoch = canonical_rotation::reduced(epoch, &clusters, rotation);
         epochs.push(decide_epoch(&epoch, rotation, clusters, classes, scene, options)?);
     }
+    if epochs.iter().all(|epoch| epoch.clusters.is_empty()) {
+        return Err(EncodeError::NeverDrawn);
+    }
     let mut decisions = Dgs1Decisions {
         made_from: DecisionInputs {
             quality: options.quality,
             quantiser_classes: analysis.classes.shares(&options.quality),
             clustering: options.cluster,
+            epoch_gaussians: scene.epochs().iter().map(Epoch::count).collect(),
         },
         block_len: options.block_len,
         packet_bytes: options.packet_bytes,

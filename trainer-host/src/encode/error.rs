@@ -45,6 +45,11 @@ pub enum EncodeError {
         /// Which list.
         what: &'static str,
     },
+    /// Nothing of the scene would be drawn.
+    #[error(
+        "every Gaussian stays below opacity 1/255, at which nothing is drawn; at least one above is needed"
+    )]
+    NeverDrawn,
     /// A Gaussian is further from the origin than the format holds.
     #[error(
         "Gaussian {gaussian} of epoch {epoch} is at {position:?} at frame {frame} of the scene; coordinates \

@@ -28,7 +28,10 @@ use super::{
     progress::report,
     steps::{self, Grid},
 };
-use crate::{scene::Scene, stream::Stream};
+use crate::{
+    scene::{Epoch, Scene},
+    stream::Stream,
+};
 
 /// Decides clusters, quantisers and rank of every epoch: all that the paper leaves open.
 ///
@@ -55,6 +58,7 @@ pub(super) fn decide(
         quality: options.quality,
         quantiser_classes: Vec::new(),
         clustering: options.cluster,
+        epoch_gaussians: analysis.scene.epochs().iter().map(Epoch::count).collect(),
     };
     Ok(PaperDecisions { made_from, repair: options.repair, context_coder: options.context_coder, epochs })
 }

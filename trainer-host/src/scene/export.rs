@@ -13,6 +13,8 @@ pub mod sog;
 pub mod splat;
 pub mod spz;
 
+use std::io;
+
 pub use file_format::{FileFormat, FrameFiles};
 
 use super::activation::{SH_C0, sigmoid};
@@ -20,6 +22,11 @@ use super::activation::{SH_C0, sigmoid};
 /// Display colour, 0 to 1 for what a screen shows, of a band-0 coefficient.
 fn display_colour(sh0: f32) -> f32 {
     0.5 + SH_C0 * sh0
+}
+
+/// That a file would hold nothing, which readers refuse.
+fn nothing_to_write() -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, "no Gaussian is left; at least one is needed in a file")
 }
 
 /// 0 to 1 as a byte.

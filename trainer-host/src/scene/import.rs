@@ -225,8 +225,10 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
             Format::Sog
         } else if gltf_splats::is_splats(bytes) {
             Format::GltfSplats
-        } else {
+        } else if extension == "gltf" || bytes.windows(7).any(|part| part == b"\"asset\"") {
             Format::Gltf
+        } else {
+            Format::Unknown
         }
     } else if bytes.starts_with(&fourdgs::START) {
         Format::FourDgs
@@ -262,7 +264,8 @@ fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
         let bytes = read(&file, options)?;
         up = default_up(sniff(&bytes, &file));
         // What the frames become is bounded too: a compressed frame may hold far more than its bytes.
-        let frame = snapshot_of(&bytes, &file, options)?;
+        // Of a clip a frame may well show nothing.
+        let frame = snapshot_of(&bytes, &file, options).or_else(Snapshot::of_nothing)?;
         let per_gaussian = (14 + frame.epoch.attributes().sh_degree.rest_len()) * 4;
         let bytes_of_frame = (frame.epoch.count() * per_gaussian).max(bytes.len()) as u64;
         left = left.checked_sub(bytes_of_frame).ok_or_else(|| {
@@ -270,6 +273,9 @@ fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
             Format::Sequence.error(ErrorKind::TooLarge, "frames", "more", allowed).in_file(&file)
         })?;
         frames.push((file, frame));
+    }
+    if frames.iter().all(|(_, frame)| frame.epoch.count() == 0) {
+        return Err(Format::Sequence.empty("Gaussians in all frames").in_file(path));
     }
     let is_stored = index.as_ref().is_some_and(|index| index.identity_stored);
     let identity = if is_stored { Identity::Stored } else { options.identity };
@@ -345,9 +351,8 @@ fn snapshot_of(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Sna
             gltf_splats::parse(bytes, |name| read_beside(path, name, options, Format::GltfSplats), limits)
         }
         other => {
-            let shown = &bytes[..bytes.len().min(8)];
-            let found =
-                if bytes.is_empty() { "an empty file".to_owned() } else { format!("bytes {shown:02x?}") };
+            let start = bytes[..bytes.len().min(8)].escape_ascii();
+            let found = if bytes.is_empty() { "an empty file".into() } else { format!("bytes \"{start}\"") };
             Err(other.malformed(
                 "content",
                 found,
@@ -440,6 +445,8 @@ mod tests {
         assert_eq!((scene.max_count(), scene.default_up), (8, Some(Up::Y)));
         let (_folder, path) = file("a.ply", &compressed_ply::tests::sample(3));
         assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 3);
+        assert_eq!(sniff(br#"{"asset": {}}"#, "a.json".as_ref()), Format::Gltf);
+        assert_eq!(sniff(br#"{"frames": []}"#, "transforms.json".as_ref()), Format::Unknown);
     }
 
     #[test]

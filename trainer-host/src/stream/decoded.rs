@@ -1,13 +1,24 @@
 //! Turns decoded frames into scenes: what has arrived, in the domains that files hold.
 
+use codec_core::internals::wire::manifest::Manifest;
+
 use crate::scene::{Attributes, Epoch, Instant, Scene, SceneError, Track};
 
-/// The Gaussians of a decoded frame of which anything is drawn, and how many are left out: those that have
-/// not arrived, and those whose opacity is 0.
+/// The Gaussians of a decoded frame of which anything is drawn: not those that have not arrived, nor those
+/// whose opacity is 0.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Snapshot {
+    /// They, as an epoch of one frame.
+    pub epoch: Epoch,
+    /// The rows of the stream's frame that they are.
+    pub rows: Vec<u32>,
+}
+
+/// What is drawn of a decoded frame.
 ///
 /// # Errors
 /// Values that no scene may hold.
-pub fn snapshot(instant: &Instant) -> Result<(Epoch, usize), SceneError> {
+pub fn snapshot(instant: &Instant) -> Result<Snapshot, SceneError> {
     let rest = instant.sh_degree.rest_len();
     let mut attributes = Attributes {
         positions: Track::Constant(Vec::new()),
@@ -18,12 +29,12 @@ pub fn snapshot(instant: &Instant) -> Result<(Epoch, usize), SceneError> {
         sh_rest: Vec::new(),
         sh_degree: instant.sh_degree,
     };
-    let mut missing = 0;
+    let mut rows = Vec::new();
     for (i, gaussian) in instant.gaussians.iter().enumerate() {
         if gaussian.is_absent() {
-            missing += 1;
             continue;
         }
+        rows.push(i as u32);
         push(&mut attributes.positions, gaussian.position);
         push(&mut attributes.rotations, gaussian.rotation);
         push(&mut attributes.log_scales, gaussian.scale.map(f32::ln));
@@ -31,7 +42,7 @@ pub fn snapshot(instant: &Instant) -> Result<(Epoch, usize), SceneError> {
         push(&mut attributes.sh0, gaussian.sh0);
         attributes.sh_rest.extend_from_slice(&instant.sh_rest[i * rest..(i + 1) * rest]);
     }
-    Ok((Epoch::new(1, attributes)?, missing))
+    Ok(Snapshot { epoch: Epoch::new(1, attributes)?, rows })
 }
 
 /// The logit of an opacity, 0 to 1, as far as it is finite.
@@ -39,35 +50,61 @@ pub fn logit(opacity: f32) -> f32 {
     (opacity / (1.0 - opacity).max(1e-9)).max(1e-9).ln()
 }
 
-/// Frames, each an epoch of one frame, as a scene: one epoch if all have as many Gaussians of the same
-/// higher bands, else as they are. Inside of an epoch of a stream rows are the same Gaussians unless some are
-/// missing.
+/// For each epoch of the stream of `manifest`, its first frame.
+pub fn epoch_starts(manifest: &Manifest<'_>) -> Vec<u32> {
+    manifest.epochs().map(|epoch| epoch.first_frame).collect()
+}
+
+/// The first frames of a stream, whose epochs begin at the frames `starts`, as a scene. Frames of one epoch
+/// that follow each other are one epoch of the scene where the same rows are drawn in all of them: only then
+/// these are the same Gaussians.
 ///
 /// # Errors
 /// No frames, or a frame rate that is not positive and finite.
-pub fn joined(frames: Vec<Epoch>, frames_per_second: f64) -> Result<Scene, SceneError> {
-    let same = |pair: &[Epoch]| {
-        let [a, b] = pair else { return true };
-        a.count() == b.count() && a.attributes().sh_rest == b.attributes().sh_rest
-    };
-    if frames.len() < 2 || !frames.windows(2).all(same) {
-        return Scene::new(frames, frames_per_second);
+pub fn joined(frames: Vec<Snapshot>, starts: &[u32], frames_per_second: f64) -> Result<Scene, SceneError> {
+    let mut runs: Vec<Vec<Snapshot>> = Vec::new();
+    for (number, frame) in (0..).zip(frames) {
+        let run = runs.last_mut().filter(|run| {
+            starts.binary_search(&number).is_err()
+                && run.last().is_some_and(|last| last.is_followed_by(&frame))
+        });
+        match run {
+            Some(run) => run.push(frame),
+            None => runs.push(vec![frame]),
+        }
+    }
+    let epochs: Result<Vec<Epoch>, SceneError> = runs.into_iter().map(|run| one_epoch(&run)).collect();
+    Scene::new(epochs?, frames_per_second)
+}
+
+impl Snapshot {
+    /// Whether the rows of `next`, of the frame after it in the same epoch of the stream, are the same
+    /// Gaussians.
+    pub fn is_followed_by(&self, next: &Self) -> bool {
+        self.rows == next.rows && self.epoch.attributes().sh_rest == next.epoch.attributes().sh_rest
+    }
+}
+
+/// Frames with the same rows as one epoch.
+fn one_epoch(frames: &[Snapshot]) -> Result<Epoch, SceneError> {
+    if let [frame] = frames {
+        return Ok(frame.epoch.clone());
     }
     let attributes = Attributes {
-        positions: track(&frames, |a| &a.positions),
-        rotations: track(&frames, |a| &a.rotations),
-        log_scales: track(&frames, |a| &a.log_scales),
-        opacity_logits: track(&frames, |a| &a.opacity_logits),
-        sh0: track(&frames, |a| &a.sh0),
-        sh_rest: frames[0].attributes().sh_rest.clone(),
-        sh_degree: frames[0].attributes().sh_degree,
+        positions: track(frames, |a| &a.positions),
+        rotations: track(frames, |a| &a.rotations),
+        log_scales: track(frames, |a| &a.log_scales),
+        opacity_logits: track(frames, |a| &a.opacity_logits),
+        sh0: track(frames, |a| &a.sh0),
+        sh_rest: frames[0].epoch.attributes().sh_rest.clone(),
+        sh_degree: frames[0].epoch.attributes().sh_degree,
     };
-    Scene::new(vec![Epoch::new(frames.len(), attributes)?], frames_per_second)
+    Epoch::new(frames.len(), attributes)
 }
 
 /// One attribute of all `frames`.
-fn track<T: Copy + PartialEq>(frames: &[Epoch], of: impl Fn(&Attributes) -> &Track<T>) -> Track<T> {
-    let frame = |epoch: &Epoch| of(epoch.attributes()).frame(0, epoch.count()).to_vec();
+fn track<T: Copy + PartialEq>(frames: &[Snapshot], of: impl Fn(&Attributes) -> &Track<T>) -> Track<T> {
+    let frame = |shown: &Snapshot| of(shown.epoch.attributes()).frame(0, shown.epoch.count()).to_vec();
     Track::PerFrame(frames.iter().flat_map(frame).collect())
 }
 
@@ -95,8 +132,8 @@ mod tests {
             sh_rest: (0..27).map(|i| i as f32).collect(),
             sh_degree: ShDegree::new(1).unwrap(),
         };
-        let (epoch, missing) = snapshot(&instant).unwrap();
-        assert_eq!((epoch.count(), missing), (2, 1));
+        let Snapshot { epoch, rows } = snapshot(&instant).unwrap();
+        assert_eq!((epoch.count(), rows), (2, vec![0, 2]));
         let attributes = epoch.attributes();
         assert_eq!(attributes.positions.frame(0, 2), [[1.0; 3], [2.0; 3]]);
         assert_eq!(attributes.sh_rest[9], 18.0);
@@ -104,15 +141,25 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_as_many_gaussians_are_one_epoch() {
-        let frame = |places: &[f32]| {
-            let gaussians = places.iter().map(|&x| shown(x)).collect();
-            snapshot(&Instant { gaussians, ..Instant::default() }).unwrap().0
+    fn frames_of_the_same_gaussians_are_one_epoch() {
+        let frame = |places: [f32; 3]| {
+            let gaussian = |x: f32| if x == 0.0 { Gaussian::ABSENT } else { shown(x) };
+            let gaussians = places.map(gaussian).to_vec();
+            snapshot(&Instant { gaussians, ..Instant::default() }).unwrap()
         };
-        let scene = joined(vec![frame(&[1.0, 2.0]), frame(&[1.5, 2.0])], 24.0).unwrap();
+        let frames = || vec![frame([1.0, 2.0, 0.0]), frame([1.5, 2.0, 0.0]), frame([1.5, 0.0, 3.0])];
+        let lengths = |frames: Vec<Snapshot>, starts: &[u32]| {
+            let scene = joined(frames, starts, 24.0).unwrap();
+            scene.epochs().iter().map(Epoch::frames).collect::<Vec<_>>()
+        };
+        let scene = joined(frames()[..2].to_vec(), &[0], 24.0).unwrap();
         assert_eq!((scene.epochs().len(), scene.frames()), (1, 2));
         assert_eq!(scene.instant(1).unwrap().gaussians[0].position, [1.5; 3]);
-        let scene = joined(vec![frame(&[1.0, 2.0]), frame(&[1.5])], 24.0).unwrap();
-        assert_eq!((scene.epochs().len(), scene.frames()), (2, 2));
+        // As many, but others.
+        assert_eq!(lengths(frames(), &[0]), [2, 1]);
+        // The same rows of another epoch are other Gaussians.
+        assert_eq!(lengths(frames(), &[0, 1]), [1, 1, 1]);
+        assert_eq!(lengths(vec![frame([1.0; 3]); 5], &[0, 3]), [3, 2]);
+        assert_eq!(lengths(vec![frame([0.0; 3]); 2], &[0]), [2]);
     }
 }

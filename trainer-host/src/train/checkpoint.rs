@@ -19,7 +19,7 @@ use super::{
 };
 
 const MAGIC: &str = "DGSTRAIN";
-const VERSION: u16 = 9;
+const VERSION: u16 = 10;
 const HEADER: usize = 14;
 /// A training between two steps, with what it was trained on and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,8 +30,6 @@ pub struct Checkpoint {
     pub frames: usize,
     /// Frames per second that the scene is encoded at.
     pub frames_per_second: f64,
-    /// How far the training had come, 0 to 1.
-    pub progress: f64,
     /// Number of the axis that points up.
     up: u8,
     options: TrainOptions,
@@ -68,18 +66,17 @@ impl Checkpoint {
     /// Most Gaussians times frames of the scene in a checkpoint: about 3 GB.
     pub const MAX_POSED: usize = 50_000_000;
 
-    /// The state of `trainer` after a step at `progress`.
+    /// The state of `trainer`, whose next step is at `progress`, 0 to 1; 1: it is complete.
     pub fn of(trainer: &Trainer, dataset: &Dataset, progress: f64) -> Self {
         let [state, fallback] = trainer.states();
         Self {
             dataset: dataset.name.clone(),
             frames: dataset.frames,
             frames_per_second: trainer.frames_per_second(),
-            progress,
             up: dataset.up as u8,
             options: trainer.options().clone(),
             views: fingerprint(dataset),
-            state: state.clone(),
+            state: State { progress, ..state.clone() },
             fallback: Some(fallback).filter(|fallback| *fallback != state).cloned(),
         }
     }
@@ -102,6 +99,11 @@ impl Checkpoint {
     /// Steps taken.
     pub fn steps(&self) -> u32 {
         self.state.step
+    }
+
+    /// How far the training had come, 0 to 1.
+    pub fn progress(&self) -> f64 {
+        self.state.progress
     }
 
     /// A trainer that goes on from here.
@@ -138,7 +140,6 @@ impl Checkpoint {
         let sound = read.state.is_sound()
             && read.fallback.as_ref().is_none_or(State::is_sound)
             && read.options.validate().is_ok()
-            && (0.0..=1.0).contains(&read.progress)
             && read.frames_per_second.is_finite()
             && read.frames_per_second > 0.0
             && Up::numbered(read.up).is_some()

@@ -55,7 +55,7 @@ pub use evaluate::{Evaluation, evaluate};
 pub use fine_tune::{FineTuned, Update, fine_tune, resume};
 pub use masks::Masks;
 pub use objective::Terms;
-pub use rank::{RankChoice, RankResult, choose_rank, measure_rank};
+pub use rank::{RankChoice, RankResult, choose_rank, input_hashes, measure_rank};
 pub use record::{Preregistration, Record};
 pub use recorded::Recording;
 pub use select::Candidate;

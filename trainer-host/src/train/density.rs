@@ -25,6 +25,9 @@ const FARTHEST: f64 = 1.9;
 const APART: f32 = 0.55;
 /// What a split takes from the logarithm of the scale along its axis.
 const NARROWER: f32 = 0.5;
+/// Strength of the jitter of relocated Gaussians: the figures of `relocate` are measured with it. The method
+/// has 5e5.
+const JITTER: f32 = 50.0;
 
 /// View-space gradients of each Gaussian's centre, since Gaussians were last added.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -168,17 +171,19 @@ fn share(gaussians: &mut TrainedGaussians, parent: usize, child: usize) {
 }
 
 /// Moves Gaussians at random along their own shape, the fainter the more: how relocated ones part
-/// (Kheradmand et al. 2024, equation 9). `rate` is the learning rate of positions.
-pub(super) fn jitter(gaussians: &mut TrainedGaussians, rate: f32, rng: &mut Pcg64Mcg) {
+/// (Kheradmand et al. 2024, equation 9). `rate` is the learning rate of positions, extents; `unit` is the
+/// extent, scene units.
+pub(super) fn jitter(gaussians: &mut TrainedGaussians, rate: f32, unit: f32, rng: &mut Pcg64Mcg) {
     for index in 0..gaussians.len() {
         let faintness = 1.0 / (1.0 + (100.0 * (gaussians.opacity(index) - 0.005)).exp());
-        let strength = 50.0 * rate * faintness;
+        let strength = JITTER * rate * faintness;
         let noise = Vec3::new(normal(rng), normal(rng), normal(rng));
         if strength > 1e-7 {
             let turn = unit_matrix(gaussians, index);
             let scales = gaussians.log_scale.item(index);
             let variances = Vec3::new(scales[0], scales[1], scales[2]).map(|s| (2.0 * s).exp());
-            let step = turn * (variances * (turn.transpose() * noise)) * strength;
+            // In extents the step is strength times variance / unit²: in scene units, unit times as much.
+            let step = turn * (variances * (turn.transpose() * noise)) * (strength / unit);
             let moved = Vec3::from_slice(gaussians.position.item(index)) + step;
             gaussians.position.item_mut(index).copy_from_slice(&moved.to_array());
         }
@@ -275,7 +280,29 @@ mod tests {
     fn jitter_moves_the_faint_and_leaves_the_opaque() {
         let mut gaussians = row(&[0.002, 0.99]);
         let before = gaussians.positions().to_vec();
-        jitter(&mut gaussians, 0.01, &mut Pcg64Mcg::seed_from_u64(1));
+        jitter(&mut gaussians, 0.01, 1.0, &mut Pcg64Mcg::seed_from_u64(1));
         assert!(gaussians.positions()[0] != before[0] && gaussians.positions()[1] == before[1]);
+    }
+
+    /// A scene of another size is jittered by as much of its extent.
+    #[test]
+    fn jitter_is_of_a_scenes_own_size() {
+        let moved = |unit: f32| {
+            let mut gaussians = row(&[0.005; 2000]);
+            gaussians.position.values_mut().fill(0.0);
+            gaussians.log_scale.values_mut().iter_mut().for_each(|scale| *scale += unit.ln());
+            jitter(&mut gaussians, 0.01, unit, &mut Pcg64Mcg::seed_from_u64(1));
+            [0, 1, 2].map(|axis| {
+                let squares = gaussians.positions().iter().map(|place| (place[axis] / unit).powi(2));
+                (squares.sum::<f32>() / 2000.0).sqrt()
+            })
+        };
+        let (one, large) = (moved(1.0), moved(40.0));
+        // At this opacity half of the strength is left, and noise of the scale squared.
+        for ((one, large), scale) in one.into_iter().zip(large).zip([0.01f32, 0.05, 0.02]) {
+            let expected = 0.5 * JITTER * 0.01 * scale.powi(2);
+            assert!((one / expected - 1.0).abs() < 0.05, "{one} {expected}");
+            assert!((large / one - 1.0).abs() < 1e-3, "{large} {one}");
+        }
     }
 }

@@ -67,8 +67,8 @@ pub enum TrainError {
     Scene(SceneError),
     /// Training left what numbers can hold, again and again.
     #[error(
-        "training diverged at step {step}: {what}; it fell back {rollbacks} times and did so again; lower \
-         rates or more rigidity may help"
+        "training diverged at step {step}: {what}; it fell back {rollbacks} times and did so again; a new \
+         training with lower rates or more rigidity may not"
     )]
     Diverged {
         /// The step.

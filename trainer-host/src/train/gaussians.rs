@@ -190,9 +190,9 @@ impl TrainedGaussians {
         nodes
     }
 
-    /// Adds the gradients of `opacity_weight · mean opacity + scale_weight · mean scale`: what is not
-    /// needed fades and shrinks (Kheradmand et al. 2024, section 3.4).
-    pub(super) fn regularise(&mut self, opacity_weight: f32, scale_weight: f32) {
+    /// Adds the gradients of `opacity_weight · mean opacity + scale_weight · mean scale`, scales in units of
+    /// `unit`, scene units: what is not needed fades and shrinks (Kheradmand et al. 2024, section 3.4).
+    pub(super) fn regularise(&mut self, opacity_weight: f32, scale_weight: f32, unit: f32) {
         let count = self.len().max(1) as f32;
         if opacity_weight > 0.0 {
             let (values, gradient) = self.opacity.values_and_gradient();
@@ -204,7 +204,7 @@ impl TrainedGaussians {
         if scale_weight > 0.0 {
             let (values, gradient) = self.log_scale.values_and_gradient();
             for (value, gradient) in values.iter().zip(gradient) {
-                *gradient += scale_weight / (3.0 * count) * value.exp();
+                *gradient += scale_weight / (3.0 * count) * (value.exp() / unit);
             }
         }
     }
@@ -248,5 +248,28 @@ impl TrainedGaussians {
         let Some(degree) = ShDegree::new(self.degree) else { return false };
         let widths = [3, 3, 4, 1, 3, degree.rest_len(), FOLLOWED];
         self.parameters().iter().zip(widths).all(|(part, width)| part.is_sound(width, count))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_of_another_size_is_shrunk_as_much() {
+        let gradient = |unit: f32| {
+            let gaussian = Gaussian { scale: [0.1, 0.2, 0.4].map(|scale| unit * scale), ..Gaussian::ABSENT };
+            let instant = Instant { gaussians: vec![gaussian; 4], ..Instant::default() };
+            let mut gaussians = TrainedGaussians::new(&instant, ShDegree::ZERO);
+            gaussians.regularise(0.0, 0.3, unit);
+            let gradient: [f32; 3] = std::array::from_fn(|axis| gaussians.log_scale.gradient_mut()[axis]);
+            gradient
+        };
+        let of = |unit: f32, expected: f32, axis: usize| (gradient(unit)[axis] / expected - 1.0).abs() < 1e-4;
+        for unit in [0.02, 1.0, 50.0] {
+            // A twelfth of the weight, times the scale in extents.
+            let expected = [0.0025, 0.005, 0.01];
+            assert!((0..3).all(|axis| of(unit, expected[axis], axis)), "{unit}: {:?}", gradient(unit));
+        }
     }
 }

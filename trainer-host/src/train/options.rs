@@ -48,7 +48,7 @@ pub struct TrainOptions {
     pub smoothness: f32,
     /// Weight of the mean opacity in the loss.
     pub opacity_weight: f32,
-    /// Weight of the mean scale in the loss.
+    /// Weight of the mean scale in the loss, extents.
     pub scale_weight: f32,
     /// How new Gaussians come about.
     pub density: DensityControl,

@@ -23,6 +23,8 @@ pub(super) struct State {
     /// Of the parameters over the last steps, once that is the scene.
     pub(super) average: Option<Average>,
     pub(super) step: u32,
+    /// How far the training had come when a step was last taken from here, or is to be taken, 0 to 1.
+    pub(super) progress: f64,
     /// Stages of nodes entered.
     pub(super) node_stages: usize,
     /// Times that what hardly moves was stood still.
@@ -49,6 +51,7 @@ impl State {
             exposures,
             average: None,
             step: 0,
+            progress: 0.0,
             node_stages: 0,
             stands: 0,
             size: 0,
@@ -101,6 +104,7 @@ impl State {
             && counts.iter().all(|&count| count <= MAX_STEPS)
             && self.finishing.is_sound(self.model.gaussians())
             && self.rollbacks <= MAX_ROLLBACKS
+            && (0.0..=1.0).contains(&self.progress)
             && !self.mean_loss.is_nan()
             && !self.lowest_loss.is_nan()
     }

@@ -1,4 +1,4 @@
-//! A step's report says what it did, and its stages what it is doing.
+//! A step's report says what it did.
 
 /// What a step did.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,21 +19,4 @@ pub struct StepReport {
     pub nodes: usize,
     /// Where training fell back to an earlier state: the step that led there, from 1, and what was wrong.
     pub rollback: Option<(u32, String)>,
-}
-
-/// Parts of a step, for whoever measures them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// Choosing a view; new sizes and nodes.
-    Prepare,
-    /// Moving the Gaussians to the view's time.
-    Pose,
-    /// Rendering, loss and gradients of the splats.
-    Render,
-    /// Gradients of attributes and nodes.
-    Motion,
-    /// Steps of Adam.
-    Update,
-    /// Adding and removing Gaussians.
-    Density,
 }

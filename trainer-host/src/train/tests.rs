@@ -10,6 +10,7 @@ use crate::{
     import::{Limits, synth},
 };
 
+mod diverged;
 mod exposed;
 mod masked;
 

@@ -33,7 +33,7 @@ use super::{
     schedule,
     start::{self, Extent},
     state::{MAX_ROLLBACKS, State},
-    step_report::{Stage, StepReport},
+    step_report::StepReport,
     view_order::ViewOrder,
     views::{Dataset, Training, Views},
 };
@@ -173,9 +173,9 @@ impl<'a> Trainer<'a> {
         Ok(self)
     }
 
-    /// That of the last step, and what to fall back to.
+    /// That of the last step, and what the next one falls back to.
     pub(super) fn states(&self) -> [&State; 2] {
-        [&self.state, &self.fallback]
+        [&self.state, if self.is_to_keep() { &self.state } else { &self.fallback }]
     }
 
     /// Makes a parameter not a number, as a division by zero would.
@@ -195,35 +195,22 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// A view that cannot be rendered, or a training that has diverged for the fourth time.
     pub fn step(&mut self, progress: f64) -> Result<StepReport, TrainError> {
-        self.step_observed(progress, &mut |_| {})
-    }
-
-    /// As [`Trainer::step`]; `observe` is called when a stage begins.
-    ///
-    /// # Errors
-    /// As [`Trainer::step`].
-    pub fn step_observed(
-        &mut self,
-        progress: f64,
-        observe: &mut dyn FnMut(Stage),
-    ) -> Result<StepReport, TrainError> {
         let progress = progress.clamp(0.0, 1.0);
-        observe(Stage::Prepare);
+        self.keep(progress);
         self.enter_stages(progress);
         self.finish(progress)?;
         let mut rng = self.state.rng(self.options.seed);
         let view = self.next_view(progress);
-        let loss = self.differentiate(view, progress, &mut rng, observe)?;
+        let loss = self.differentiate(view, progress, &mut rng)?;
         let step = self.state.step + 1;
         let mut diverged = self.state.divergence(loss);
         if diverged.is_none() {
-            self.update(view, progress, observe);
-            observe(Stage::Density);
+            self.update(view, progress);
             self.control_density(progress, &mut rng);
             self.state.step += 1;
             self.freeze_still(progress)?;
             self.average(progress);
-            diverged = self.keep_or_find_divergence();
+            diverged = self.find_divergence();
         }
         let rollback = diverged.map(|what| (step, what));
         if let Some((step, what)) = &rollback {
@@ -296,13 +283,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// Renders the view and leaves the gradients of its splats in memory; returns the loss.
-    fn differentiate(
-        &mut self,
-        view: usize,
-        progress: f64,
-        rng: &mut Pcg64Mcg,
-        observe: &mut dyn FnMut(Stage),
-    ) -> Result<f64, TrainError> {
+    fn differentiate(&mut self, view: usize, progress: f64, rng: &mut Pcg64Mcg) -> Result<f64, TrainError> {
         let posed = &self.views.photographs()[view];
         let photograph: &Photograph = self.pyramid.photograph(view, self.state.size);
         let [left, top, width, height] = if self.has_alpha && !self.state.step.is_multiple_of(WHOLE_EVERY) {
@@ -321,13 +302,11 @@ impl<'a> Trainer<'a> {
         let vary = |v: f32| if varies && rng.random::<bool>() { 1.0 - v } else { v };
         let background = self.options.background.map(vary);
 
-        observe(Stage::Pose);
         let Memory { differentiator, gradients, statistics, exposure_slopes, instant } = &mut self.memory;
         match self.finisher.rounded(&self.state.model) {
             Some(rounded) => self.state.model.instant_of(rounded, posed.time, instant),
             None => self.state.model.instant_into(posed.time, instant),
         }
-        observe(Stage::Render);
         let settings = Settings::over(background).with_footprint(self.state.model.footprint);
         let failed = |source: BackendError| TrainError::View { view: posed.name.clone(), source };
         let loss = PhotographLoss::new(photograph, background, self.options.weights())
@@ -351,8 +330,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// Takes the gradients in memory back to all parameters, and a step against them.
-    fn update(&mut self, view: usize, progress: f64, observe: &mut dyn FnMut(Stage)) {
-        observe(Stage::Motion);
+    fn update(&mut self, view: usize, progress: f64) {
         let time = self.views.photographs()[view].time;
         let gradients = &self.memory.gradients;
         let state = &mut self.state;
@@ -367,14 +345,13 @@ impl<'a> Trainer<'a> {
         nodes.add_stillness_gradient(self.options.stillness, &poses, &mut of_nodes);
         nodes.backward(time, &poses, of_nodes);
         nodes.add_smoothness_gradient(self.options.smoothness, time);
-        gaussians.regularise(self.options.opacity_weight, self.options.scale_weight);
+        gaussians.regularise(self.options.opacity_weight, self.options.scale_weight, unit);
         self.finisher.price(&self.options.finish, state.step, &mut state.model);
         let Model { gaussians, nodes, .. } = &mut state.model;
         if progress < self.options.schedule.density_end {
             state.pull.add(&gradients.splats, &self.memory.statistics);
         }
 
-        observe(Stage::Update);
         let caution = 0.5f32.powi(state.rollbacks as i32);
         let rates = schedule::attribute_rates(&self.options, progress, unit).scaled(caution);
         let step = AdamStep { rate: 0.0, first_decay: 0.9, second_decay: 0.999, number: state.step + 1 };
@@ -392,8 +369,8 @@ impl<'a> Trainer<'a> {
         let (options, state) = (&self.options, &mut self.state);
         let unit = self.region.extent.half_side as f32;
         if options.density == DensityControl::Relocate && progress < 0.85 {
-            let rate = schedule::attribute_rates(options, progress, unit).position;
-            density::jitter(&mut state.model.gaussians, rate, rng);
+            let rate = schedule::attribute_rates(options, progress, 1.0).position;
+            density::jitter(&mut state.model.gaussians, rate, unit, rng);
         }
         let due = state.step.saturating_sub(state.last_density) >= DENSITY_EVERY;
         if !due || !(0.01..options.schedule.density_end).contains(&progress) {
@@ -433,34 +410,37 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// From time to time checks that every number is finite, and remembers the state to fall back to.
-    fn keep_or_find_divergence(&mut self) -> Option<String> {
+    /// Notes what the next step is taken at, and from time to time remembers the state to fall back to.
+    fn keep(&mut self, progress: f64) {
+        self.state.progress = progress;
+        if self.is_to_keep() {
+            self.fallback = self.state.clone();
+        }
+    }
+
+    /// Whether the state is one to fall back to.
+    fn is_to_keep(&self) -> bool {
+        let step = self.state.step;
+        step > self.fallback.step && step.is_multiple_of(CHECK_EVERY * KEEP_EVERY)
+    }
+
+    /// From time to time checks that every number is finite.
+    fn find_divergence(&self) -> Option<String> {
         if self.state.model.gaussians() == 0 {
             return Some("no Gaussian is left".to_owned());
         }
-        let step = self.state.step;
-        if !step.is_multiple_of(CHECK_EVERY) {
-            return None;
-        }
-        if !self.state.model.is_sound() {
-            return Some("a parameter is not a number".to_owned());
-        }
-        if step.is_multiple_of(CHECK_EVERY * KEEP_EVERY) {
-            self.fallback = self.state.clone();
-        }
-        None
+        let is_due = self.state.step.is_multiple_of(CHECK_EVERY);
+        (is_due && !self.state.model.is_sound()).then(|| "a parameter is not a number".to_owned())
     }
 
-    /// Falls back to the state before; from then on rates are half as large.
+    /// Falls back to the state before, with half the rates from then on; gives up where that was done often.
     fn rollback(&mut self, step: u32, what: &str) -> Result<(), TrainError> {
         let rollbacks = self.state.rollbacks + 1;
+        self.state = State { rollbacks: rollbacks.min(MAX_ROLLBACKS), ..self.fallback.clone() };
+        self.finisher.take_up(&self.state.finishing, self.state.model.gaussians())?;
         if rollbacks > MAX_ROLLBACKS {
-            let what = what.to_owned();
-            self.state = self.fallback.clone();
-            return Err(TrainError::Diverged { step, what, rollbacks: MAX_ROLLBACKS });
+            return Err(TrainError::Diverged { step, what: what.to_owned(), rollbacks: MAX_ROLLBACKS });
         }
-        self.state = self.fallback.clone();
-        self.state.rollbacks = rollbacks;
-        self.finisher.take_up(&self.state.finishing, self.state.model.gaussians())
+        Ok(())
     }
 }

@@ -5,7 +5,7 @@ use super::{GroupUtility, Table};
 /// Standard normal deviate of a two-sided 95 % interval.
 const DEVIATE: f64 = 1.96;
 
-/// Groups of one level, and how many of them make pictures worse (paper, section 6, "utility audit").
+/// Groups of one level, and how many of them make pictures worse (paper, section 5, "The held-out audit").
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct LevelAudit {
     /// The level.

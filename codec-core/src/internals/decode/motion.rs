@@ -233,12 +233,14 @@ fn earlier_pose(part: &ClusterDecode<'_, '_>, frame: &Frame) -> Result<Option<Po
             break;
         }
         let span = Span::Motion(id);
-        let shape = Shape::in_lattice(content.manifest, span, part.cluster)?;
         let cell = content.cell_in_lattice(span, part.cluster)?;
-        if shape.motion.class() != Track::Static && !content.arrived(cell, 0)?.has(Level::BASE) {
+        let motion = content.manifest.motion(id, part.cluster);
+        let is_static = motion.is_some_and(|motion| motion.class() == Track::Static);
+        if !is_static && !content.arrived(cell, 0)?.has(Level::BASE) {
             continue;
         }
-        // Only here, not for every window passed over: a basis costs more than the rest of a step.
+        // Only here, not for every window passed over: shape and basis cost more than the rest of a step.
+        let shape = Shape::in_lattice(content.manifest, span, part.cluster)?;
         let frames = u32::from(window.frames);
         return track(part, &shape, cell, &cosine(frames, frames - 1));
     }

@@ -101,6 +101,8 @@ impl Requirements {
         let (slots, least) =
             (caps.tables as usize * Form::Slots.words(), caps.tables as usize * Form::Compact.words());
         let (cells, paper) = (caps.cells as usize, 2 * bytes::SLOTS / 4);
+        // Only `paper` asks for progress, whose cells are clusters: it has no windows.
+        let clusters = if caps.cells < limits::MAX_CLUSTERS { caps.cells } else { limits::MAX_CLUSTERS };
         Self {
             cells: cells.saturating_add(1),
             symbols: caps.symbols as usize,
@@ -108,7 +110,7 @@ impl Requirements {
             seen: (caps.packets as usize).div_ceil(32),
             slots: if slots > paper { slots } else { paper },
             least_slots: if least > paper { least } else { paper },
-            progress: cells.saturating_mul(Level::COUNT).saturating_add((caps.symbols as usize).div_ceil(32)),
+            progress: clusters as usize * Level::COUNT + (caps.symbols as usize).div_ceil(32),
             parity: caps.parity_bytes as usize,
         }
     }

@@ -1,12 +1,13 @@
 //! The receiver's side of repair: which set a packet belongs to, and what its arrival gives back.
 //!
 //! Work per packet is bounded: at most eight sums are updated, and at most eight packets come out,
-//! each a sum of at most eight rows that is then checked like any packet.
+//! each a sum of at most eight rows that is then checked like any packet. Where the sums lie is found by
+//! one walk over the repair ranges before, once the packet is accepted.
 
 use super::{
     Receiver,
     answer::Recovered,
-    sets::{Set, find},
+    sets::{Place, Set},
 };
 use crate::{
     cursor::in_range,
@@ -15,36 +16,54 @@ use crate::{
     repair::{MAX_CODED_BYTES, Sums},
     wire::{
         checked::Checked,
-        packet::{Packet, Parity},
+        manifest::Manifest,
+        packet::{KIND_CHUNK, KIND_PARITY, KIND_SLICES, Packet, Parity},
     },
 };
+
+/// Parity packet `id` is of no repair range: allowed is what the last range that begins before it has. Before
+/// all of them media is due.
+#[cold]
+fn no_set(manifest: &Manifest<'_>, id: u32) -> Error {
+    let error = match manifest.repair_at(id, |repair| repair.first_parity) {
+        Some((_, repair)) => {
+            let first = u64::from(repair.first_parity);
+            let last = (first + repair.parity_packets()).saturating_sub(1);
+            Error::illegal("parity.id", 1, id.into(), (first, last))
+        }
+        None => {
+            let media = (KIND_CHUNK.into(), KIND_SLICES.into());
+            Error::illegal("packet.kind", 0, KIND_PARITY.into(), media)
+        }
+    };
+    error.kind(ErrorKind::Contradiction)
+}
 
 impl Receiver<'_> {
     /// A parity packet that has not been seen.
     pub(super) fn take_parity(&mut self, parity: &Parity<'_>) -> Result<Recovered> {
         let id = parity.id.get();
-        let Some((set, row)) = find(&self.manifest, |r| r.row_of(id)) else {
-            let last = u64::from(self.manifest.head().packets.saturating_sub(1));
-            return Err(Error::illegal("parity.id", 1, id.into(), (0, last)).kind(ErrorKind::Contradiction));
-        };
-        let longest = u64::from(set.repair.longest);
+        let place = Place::of_parity(&self.manifest, id).ok_or_else(|| no_set(&self.manifest, id))?;
+        let longest = u64::from(place.repair.longest);
         in_range("parity.content", 6, parity.content.len() as u64, 1, longest)
             .map_err(|e| e.kind(ErrorKind::Contradiction))?;
         self.mark(parity.id)?;
         self.counters.parity += 1;
+        let set = place.set(&self.manifest);
         if let Some(mut sums) = self.sums(&set)? {
-            sums.add_parity(row, parity.length, parity.content);
+            sums.add_parity(place.inside, parity.length, parity.content);
         }
         self.recover(&set)
     }
 
     /// Media packet `id`, whole, that has been decoded.
     pub(super) fn take_member(&mut self, id: PacketId, packet: &[u8]) -> Result<Recovered> {
-        let Some((set, position)) = find(&self.manifest, |r| r.set_of(id.get())) else {
+        let Some(place) = Place::of_member(&self.manifest, id.get()) else {
             return Ok(Recovered::default());
         };
+        let set = place.set(&self.manifest);
         if let Some(mut sums) = self.sums(&set)? {
-            sums.add(position, packet);
+            sums.add(place.inside, packet);
         }
         self.recover(&set)
     }

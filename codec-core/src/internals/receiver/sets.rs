@@ -23,18 +23,39 @@ fn range_bytes(repair: &Repair) -> usize {
     (repair.sets() as usize).saturating_mul(repair.set_bytes())
 }
 
-/// The first range for which `place_in` knows the packet, its set, and the place in that.
-pub(super) fn find(
-    manifest: &Manifest<'_>,
-    place_in: impl Fn(&Repair) -> Option<(u32, u32)>,
-) -> Option<(Set, u32)> {
-    let mut before = 0usize;
-    for repair in manifest.repairs() {
-        if let Some((number, place)) = place_in(&repair) {
-            let start = before.saturating_add((number as usize).saturating_mul(repair.set_bytes()));
-            return Some((Set { repair, number, start }, place));
-        }
-        before = before.saturating_add(range_bytes(&repair));
+/// Where a packet stands in the repair of its stream: found by bisection of the ranges.
+pub(super) struct Place {
+    pub repair: Repair,
+    /// Counts the ranges of the stream.
+    range: usize,
+    /// Counts the sets of the range.
+    set: u32,
+    /// Position in the set of a protected packet, row of a parity packet.
+    pub inside: u32,
+}
+
+impl Place {
+    /// That of media packet `id`, if a range protects it.
+    pub fn of_member(manifest: &Manifest<'_>, id: u32) -> Option<Self> {
+        Self::of(manifest.repair_at(id, |repair| repair.first_packet), |repair| repair.set_of(id))
     }
-    None
+
+    /// That of parity packet `id`, if it is of a range.
+    pub fn of_parity(manifest: &Manifest<'_>, id: u32) -> Option<Self> {
+        Self::of(manifest.repair_at(id, |repair| repair.first_parity), |repair| repair.row_of(id))
+    }
+
+    fn of(found: Option<(usize, Repair)>, place_in: impl Fn(&Repair) -> Option<(u32, u32)>) -> Option<Self> {
+        let (range, repair) = found?;
+        let (set, inside) = place_in(&repair)?;
+        Some(Self { repair, range, set, inside })
+    }
+
+    /// The set: walks over the ranges before, which a packet that is refused must not cost.
+    pub fn set(&self, manifest: &Manifest<'_>) -> Set {
+        let before = manifest.repairs().take(self.range);
+        let before = before.fold(0usize, |sum, r| sum.saturating_add(range_bytes(&r)));
+        let start = before.saturating_add((self.set as usize).saturating_mul(self.repair.set_bytes()));
+        Set { repair: self.repair, number: self.set, start }
+    }
 }

@@ -152,7 +152,7 @@ impl<'a> Iterator for Packets<'a> {
 /// Packets of a stream that are not there.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Missing {
-    /// Packets whose content is lost.
+    /// Packets, parity among them, that repair does not give back.
     pub lost: u32,
     /// Protected packets that repair gives back from the parity that is there.
     pub repairable: u32,

@@ -250,6 +250,7 @@ const FLAGS: u8 = 0xf;
 
 impl Extent {
     /// Bytes of this extent's header, its flag byte included.
+    #[inline(never)]
     pub fn header_len(&self) -> usize {
         use crate::cursor::varint_len;
         let (Span::Canonical(EpochId(span)) | Span::Motion(WindowId(span))) = self.span;

@@ -153,11 +153,12 @@ impl Value<'_> {
         }
         writer.varint(ranges as u32)?;
         let mut end: Option<u32> = None;
-        for (i, &(first, last)) in self.acknowledged.iter().skip(older).enumerate() {
+        for &(first, last) in self.acknowledged.iter().skip(older) {
             // Before the first range there is no gap.
             let least = end.map_or(0, |e| e + 2);
-            in_range("receipt.range", i, first.get(), least, last.get().max(least))?;
-            in_range("receipt.range", i, last.get(), first.get(), PacketId::MAX)?;
+            let place = writer.len();
+            in_range("receipt.range", place, first.get(), least, last.get().max(least))?;
+            in_range("receipt.range", place, last.get(), first.get(), PacketId::MAX)?;
             writer.varint(first.get() - least)?;
             writer.varint(last.get() - first.get())?;
             end = Some(last.get());

@@ -58,7 +58,8 @@ fn answer_own(site: &Site, method: &Method, path: &str, fields: &HeaderMap) -> R
             .body(Full::default());
     }
     let Some(mut resource) = site.resource(path) else {
-        let sentence = Bytes::from_static(b"there is nothing of this name; / lists the streams\n");
+        let sentence =
+            Bytes::from_static(b"there is nothing of this name; /streams.json lists the streams\n");
         return Response::builder()
             .status(StatusCode::NOT_FOUND)
             .header(CONTENT_TYPE, "text/plain; charset=utf-8")

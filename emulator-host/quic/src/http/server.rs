@@ -117,12 +117,25 @@ impl HttpServer {
     /// # Errors
     /// [`HttpError`].
     pub fn bind(config: &HttpConfig, site: Site) -> Result<Self, HttpError> {
-        let listen = || {
-            let listener = StdListener::bind(config.bind)?;
-            listener.set_nonblocking(true)?;
-            TcpListener::from_std(listener)
-        };
-        let listener = listen().map_err(|error| HttpError { address: config.bind, error })?;
+        Self::on(Self::open(config.bind)?, config, site)
+    }
+
+    /// Opens the port alone: one that cannot be had is known before there is a site.
+    ///
+    /// # Errors
+    /// [`HttpError`].
+    pub fn open(address: SocketAddr) -> Result<StdListener, HttpError> {
+        StdListener::bind(address).map_err(|error| HttpError { address, error })
+    }
+
+    /// Serves on `listener`, which was opened at [`HttpConfig::bind`]. Must be called inside a tokio runtime.
+    ///
+    /// # Errors
+    /// [`HttpError`].
+    pub fn on(listener: StdListener, config: &HttpConfig, site: Site) -> Result<Self, HttpError> {
+        let failed = |error| HttpError { address: config.bind, error };
+        listener.set_nonblocking(true).map_err(failed)?;
+        let listener = TcpListener::from_std(listener).map_err(failed)?;
         let (site, limits) = (Arc::new(site), config.limits);
         Ok(Self { listener, site, entrance: None, limits, counts: Arc::default() })
     }

@@ -91,7 +91,8 @@ fn files_ranges_and_absences_are_answered() {
     assert!(part.starts_with("HTTP/1.1 206") && part.ends_with("\r\n\r\n789"), "{part}");
     assert!(part.to_lowercase().contains("content-range: bytes 7-9/10"), "{part}");
     assert!(server.get("/streams/ten.dgs", "Range: bytes=11-\r\n").starts_with("HTTP/1.1 416"));
-    assert!(server.get("/nothing", "").starts_with("HTTP/1.1 404"));
+    let nothing = server.get("/nothing", "");
+    assert!(nothing.starts_with("HTTP/1.1 404") && nothing.contains("/streams.json lists"), "{nothing}");
     let head = server.talk(b"HEAD /streams/ten.dgs HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n");
     assert!(head.starts_with("HTTP/1.1 200") && head.ends_with("\r\n\r\n"), "{head}");
     assert!(head.to_lowercase().contains("content-length: 10"), "{head}");

@@ -42,7 +42,7 @@ pub(super) fn upgrade(
         Ok(key) => key.to_owned(),
         Err((status, sentence)) => return refusal(status, sentence),
     };
-    let Some(place) = entrance.place() else {
+    let Some(place) = entrance.place(address.ip()) else {
         return refusal(StatusCode::SERVICE_UNAVAILABLE, "all places are taken\n");
     };
     let (upgrading, entrance) = (hyper::upgrade::on(request), entrance.clone());

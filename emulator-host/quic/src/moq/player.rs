@@ -65,6 +65,7 @@ async fn session(
     let (origin, driver) = origin();
     let consumer = origin.consume();
     let relay = Relay::connect(config, Client::new().with_subscriber(origin)).await?;
+    playback.connected();
     let Relay { endpoint, connection, session: _session, driver: machine } = relay;
     // Whoever reads runs beside; all of it ends with this.
     let mut tasks = JoinSet::new();

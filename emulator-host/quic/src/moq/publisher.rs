@@ -19,7 +19,9 @@ use super::{
     numbering::LEAD,
     relay::{Relay, close, origin},
 };
-use crate::socket::{ClientConfig, Locator, PlayError, ServedStream, Trust, message::StreamChoice};
+use crate::socket::{
+    ClientConfig, Locator, PlayError, ServedStream, Trust, message::StreamChoice, printable,
+};
 
 /// Longest wait before a lost relay is tried again; the first is a second, each the double of the last.
 const MAX_PAUSE: Duration = Duration::from_secs(16);
@@ -154,7 +156,7 @@ async fn connections(
                 let error = time::run(relay.driver).await;
                 drop(closing);
                 close(&relay.endpoint, &relay.connection).await;
-                error.to_string()
+                printable(error)
             }
             Err(error) if report.connections == 0 => return Err(error.into()),
             Err(error) => error.to_string(),

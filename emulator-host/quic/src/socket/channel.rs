@@ -1,6 +1,7 @@
 //! Carries a session, its control stream and its datagrams, over QUIC itself or over WebTransport on it.
 
 use std::{
+    borrow::Cow,
     sync::atomic::{AtomicBool, Ordering},
     time::{Duration, Instant},
 };
@@ -19,6 +20,7 @@ use super::{
     limits::SEND_BUFFER_BYTES,
     media_streams::{IncomingMedia, OutgoingMedia},
     message::{Refusal, RefusalCode},
+    printable::printable,
     web::{self, Closing, WebClose, WebError, WebSession},
 };
 use crate::congestion::{PathWatch, Watched};
@@ -30,8 +32,8 @@ const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum Closed {
     /// The connection is gone.
-    #[error(transparent)]
-    Connection(#[from] ConnectionError),
+    #[error("{}", printable(.0))]
+    Connection(ConnectionError),
     /// The peer has closed the WebTransport session.
     #[error("the session was closed with code {code}: {reason:?}")]
     Session {
@@ -41,7 +43,7 @@ pub enum Closed {
         reason: String,
     },
     /// What the peer speaks is not WebTransport.
-    #[error("no WebTransport: {0}")]
+    #[error("no WebTransport: {}", printable(.0))]
     Web(WebError),
     /// The WebSocket has ended.
     #[error("the WebSocket has ended")]
@@ -67,6 +69,13 @@ pub(super) struct Path {
     pub(super) datagram_bytes: u64,
 }
 
+// Neither names its cause as a source: whoever prints causes would print what the peer says as it is.
+impl From<ConnectionError> for Closed {
+    fn from(error: ConnectionError) -> Self {
+        Self::Connection(error)
+    }
+}
+
 impl From<WebError> for Closed {
     fn from(error: WebError) -> Self {
         match error {
@@ -77,18 +86,28 @@ impl From<WebError> for Closed {
 }
 
 impl Closed {
+    /// The code that the peer has closed with.
+    pub(super) fn code(&self) -> Option<u64> {
+        self.said().map(|(code, _)| code)
+    }
+
     /// The refusal that the peer has closed with.
     pub(super) fn refusal(&self) -> Option<Refusal> {
-        let (code, sentence) = match self {
+        let (code, reason) = self.said()?;
+        RefusalCode::of(code).map(|code| Refusal { code, sentence: printable(reason) })
+    }
+
+    /// Code and reason that the peer has closed with.
+    fn said(&self) -> Option<(u64, Cow<'_, str>)> {
+        match self {
             Self::Connection(ConnectionError::ApplicationClosed(close)) => {
                 let code = close.error_code.into_inner();
                 let code = error_from_http3(code).map_or(code, u64::from);
-                (code, String::from_utf8_lossy(&close.reason).into_owned())
+                Some((code, String::from_utf8_lossy(&close.reason)))
             }
-            Self::Session { code, reason } => (u64::from(*code), reason.clone()),
-            Self::Connection(_) | Self::Web(_) | Self::Socket => return None,
-        };
-        RefusalCode::of(code).map(|code| Refusal { code, sentence })
+            Self::Session { code, reason } => Some((u64::from(*code), reason.into())),
+            Self::Connection(_) | Self::Web(_) | Self::Socket => None,
+        }
     }
 }
 

@@ -9,7 +9,7 @@ use std::{
 
 use dgs_player::Player;
 use quinn::{Connection, ConnectionError, Endpoint, TransportErrorCode};
-use tokio::time::{sleep, sleep_until, timeout};
+use tokio::time::{sleep, timeout};
 use url::Url;
 
 use super::{
@@ -75,10 +75,9 @@ pub(crate) async fn play_over(
         Ok(playback) => playback,
         Err(error) => return Played { report: PlayReport::default(), player: None, error: Some(error) },
     };
-    let end = config.duration.map(|duration| began + duration);
     let up = async {
-        match end {
-            Some(end) => sleep_until(end.into()).await,
+        match config.duration {
+            Some(duration) => sleep(duration).await,
             None => std::future::pending().await,
         }
     };
@@ -100,8 +99,9 @@ pub(crate) async fn play_over(
             }
         }
     };
-    let silence = || PlayError::Silence { ms: began.elapsed().as_millis() };
-    let played = if is_up && !playback.has_manifest() { Err(silence()) } else { played };
+    let nothing_came = is_up && !playback.has_manifest();
+    let played =
+        if nothing_came { Err(PlayError::TimeUp { ms: began.elapsed().as_millis() }) } else { played };
     let (report, player) = playback.end();
     Played { report, player, error: played.err() }
 }
@@ -115,7 +115,11 @@ async fn sessions(
 ) -> Result<(), PlayError> {
     let mut left = config.reconnects;
     loop {
+        let shown = playback.shown_count();
         let Err(error) = session(config, playback, screen).await else { return Ok(()) };
+        if playback.shown_count() > shown {
+            left = config.reconnects;
+        }
         // Who was never let in is not let in the next time either; a server that was there may be on its way
         // back.
         let lost = matches!(
@@ -139,6 +143,7 @@ async fn session(
     screen: &mut dyn FrameSink,
 ) -> Result<(), PlayError> {
     let (endpoint, connection) = connect(config).await?;
+    playback.connected();
     let result = match open(config, &connection).await {
         Ok((channel, mut ending, (mut send, receive))) => {
             let ends = (&channel, &mut ending, &mut send);

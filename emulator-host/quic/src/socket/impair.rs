@@ -28,8 +28,11 @@ use quinn::{
 };
 use tokio::sync::Notify;
 
-/// Most destinations with a link of their own. Where every viewer has one, what goes to others is lost.
-const MAX_LINKS: usize = 1024;
+/// Links beyond one for every viewer: of who shakes hands or has left. What goes to destinations for which
+/// there is none is lost.
+const SPARE_LINKS: usize = 1024;
+/// A link without a session is forgotten so long after its last datagram.
+const FORGOTTEN_AFTER: Nanos = Nanos::from_s(10);
 /// Most bytes inside a link that a viewer has asked for; more are lost.
 const MAX_VIEWER_BYTES: u64 = 1 << 20;
 
@@ -56,10 +59,22 @@ pub(super) struct Links {
     /// The link that every destination has until it gets another; without one, none has.
     of_all: Option<Impairment>,
     began: Instant,
-    by_destination: Mutex<BTreeMap<SocketAddr, Link>>,
+    /// Most links.
+    most: usize,
+    table: Mutex<Table>,
     /// Links there are: while there are none, sending looks no further.
     count: AtomicUsize,
     changed: Notify,
+}
+
+/// The links by destination.
+#[derive(Default)]
+struct Table {
+    links: BTreeMap<SocketAddr, Link>,
+    /// Links that were made of the one that every destination has: each has the next seed.
+    seeds: u64,
+    /// Sessions that have begun.
+    sessions: u64,
 }
 
 /// One destination's link and the bytes of what is inside.
@@ -68,6 +83,18 @@ struct Link {
     most_bytes: u64,
     next: u64,
     inside: BTreeMap<u64, Payload>,
+    /// The session with the destination, if there is one.
+    session: Option<u64>,
+    /// Whether it is for that session alone.
+    is_of_session: bool,
+    /// When the last datagram entered.
+    entered: Nanos,
+}
+
+/// The link of a session's viewer. When it is dropped the viewer has left.
+pub(super) struct SessionLink {
+    links: Arc<Links>,
+    session: u64,
 }
 
 /// A datagram on its way.
@@ -78,22 +105,20 @@ struct Payload {
 }
 
 impl ImpairedSocket {
-    /// Wraps `inner`; `of_all` is the link that every destination has. Must be called inside a tokio runtime:
-    /// a task sends what is due.
+    /// Wraps `inner` for `viewers` at once; `of_all` is the link that every destination has. Must be called
+    /// inside a tokio runtime: a task sends what is due.
     ///
     /// # Errors
     /// A path that is illegal.
-    pub(super) fn new(inner: Arc<dyn AsyncUdpSocket>, of_all: Option<Impairment>) -> Result<Self, PathError> {
+    pub(super) fn new(
+        inner: Arc<dyn AsyncUdpSocket>,
+        of_all: Option<Impairment>,
+        viewers: usize,
+    ) -> Result<Self, PathError> {
         if let Some(impairment) = &of_all {
             impairment.path.build(LABEL, impairment.seed)?;
         }
-        let links = Arc::new(Links {
-            of_all,
-            began: Instant::now(),
-            by_destination: Mutex::default(),
-            count: AtomicUsize::new(0),
-            changed: Notify::new(),
-        });
+        let links = Arc::new(Links::new(of_all, viewers + SPARE_LINKS));
         tokio::spawn(send_what_is_due(Arc::downgrade(&links), inner.clone()));
         Ok(Self { inner, links })
     }
@@ -108,7 +133,7 @@ impl ImpairedSocket {
 async fn send_what_is_due(links: Weak<Links>, socket: Arc<dyn AsyncUdpSocket>) {
     loop {
         let Some(links) = links.upgrade() else { return };
-        let wake = links.send_due(&*socket);
+        let wake = links.send_due(links.now(), &*socket);
         let pause = Duration::from_nanos(wake.0.saturating_sub(links.now().0));
         // A link that is idle is looked at again when something enters it, or when the socket may be gone.
         let pause = pause.min(Duration::from_secs(1));
@@ -118,91 +143,140 @@ async fn send_what_is_due(links: Weak<Links>, socket: Arc<dyn AsyncUdpSocket>) {
 }
 
 impl Links {
+    fn new(of_all: Option<Impairment>, most: usize) -> Self {
+        let (table, count) = (Mutex::default(), AtomicUsize::new(0));
+        Self { of_all, began: Instant::now(), most, table, count, changed: Notify::new() }
+    }
+
     fn now(&self) -> Nanos {
         Nanos(u64::try_from(self.began.elapsed().as_nanos()).unwrap_or(u64::MAX))
     }
 
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<SocketAddr, Link>> {
+    fn lock(&self) -> MutexGuard<'_, Table> {
         // Whoever panicked with it left a table of links that is still in order.
-        self.by_destination.lock().unwrap_or_else(PoisonError::into_inner)
+        self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Puts a link of its own before `destination`; `None` is none. What was inside the one before is lost.
-    /// False if there are too many links.
-    pub(super) fn set(&self, destination: SocketAddr, impairment: Option<&Impairment>) -> bool {
-        // Where every viewer has a link, having none is a link, too.
-        let chain = match (impairment, &self.of_all) {
-            (None, None) => {
-                self.clear(destination);
-                return true;
-            }
-            (Some(impairment), _) => impairment.path.build(LABEL, impairment.seed),
-            (None, Some(_)) => PathConfig::unimpaired().build(LABEL, 0),
-        };
-        let mut links = self.lock();
-        let has_room = links.len() < MAX_LINKS || links.contains_key(&destination);
-        let Some(chain) = chain.ok().filter(|_| has_room) else { return false };
-        links.insert(destination, Link::new(chain, MAX_VIEWER_BYTES));
-        self.count.store(links.len(), Ordering::Relaxed);
-        true
-    }
-
-    /// A viewer at `destination` has left.
-    pub(super) fn clear(&self, destination: SocketAddr) {
-        let mut links = self.lock();
-        links.remove(&destination);
-        self.count.store(links.len(), Ordering::Relaxed);
+    /// A session begins with a viewer at `destination`.
+    pub(super) fn begin_session(self: &Arc<Self>, destination: SocketAddr) -> SessionLink {
+        let mut table = self.lock();
+        table.sessions += 1;
+        let session = table.sessions;
+        if let Some(link) = table.links.get_mut(&destination) {
+            link.session = Some(session);
+        }
+        SessionLink { links: self.clone(), session }
     }
 
     /// Whether `destination` has a link, or gets one as soon as something goes there.
     fn has(&self, destination: &SocketAddr) -> bool {
         let some = self.of_all.is_some();
-        some || (self.count.load(Ordering::Relaxed) > 0 && self.lock().contains_key(destination))
+        some || (self.count.load(Ordering::Relaxed) > 0 && self.lock().links.contains_key(destination))
     }
 
     /// Takes datagrams into the link of their destination, each with its own random numbers.
     fn enter(&self, transmit: &Transmit<'_>, socket: &dyn AsyncUdpSocket) {
-        let mut links = self.lock();
+        let mut table = self.lock();
         let now = self.now();
         let destination = transmit.destination;
-        if !links.contains_key(&destination) {
-            if links.len() >= MAX_LINKS {
-                links.retain(|_, link| !link.inside.is_empty());
+        if !table.links.contains_key(&destination) {
+            let Some(impairment) = &self.of_all else { return };
+            if table.links.len() >= self.most {
+                table.links.retain(|_, link| link.session.is_some() || !link.inside.is_empty());
             }
-            let Some(impairment) = self.of_all.as_ref().filter(|_| links.len() < MAX_LINKS) else { return };
+            if table.links.len() >= self.most {
+                return;
+            }
             // It was built once before, so it is legal.
-            let seed = impairment.seed.wrapping_add(links.len() as u64);
-            let Ok(chain) = impairment.path.build(LABEL, seed) else { return };
-            links.insert(destination, Link::new(chain, u64::MAX));
-            self.count.store(links.len(), Ordering::Relaxed);
+            let Ok(chain) = impairment.path.build(LABEL, impairment.seed.wrapping_add(table.seeds)) else {
+                return;
+            };
+            table.seeds += 1;
+            table.links.insert(destination, Link::new(chain, u64::MAX));
+            self.count.store(table.links.len(), Ordering::Relaxed);
         }
-        let Some(link) = links.get_mut(&destination) else { return };
+        let Some(link) = table.links.get_mut(&destination) else { return };
+        link.entered = now;
         let segment = transmit.segment_size.unwrap_or(transmit.contents.len()).max(1);
         for contents in transmit.contents.chunks(segment) {
             let payload = Payload { bytes: contents.to_vec(), ecn: transmit.ecn, source: transmit.src_ip };
             link.enter(payload, now, destination, socket);
         }
-        drop(links);
+        drop(table);
         self.changed.notify_one();
     }
 
-    /// Sends what is through by now; when to look again.
-    fn send_due(&self, socket: &dyn AsyncUdpSocket) -> Nanos {
-        let now = self.now();
+    /// Sends what is through at `now`, and forgets links that nobody uses; when to look again.
+    fn send_due(&self, now: Nanos, socket: &dyn AsyncUdpSocket) -> Nanos {
         let mut wake = Nanos::MAX;
-        for (destination, link) in self.lock().iter_mut() {
+        let mut table = self.lock();
+        table.links.retain(|destination, link| {
             if link.chain.next_wake() <= now {
                 link.pass(None, now, *destination, socket);
             }
-            wake = wake.min(link.chain.next_wake());
-        }
+            let is_used = link.session.is_some() || !link.inside.is_empty();
+            let stays = is_used || now < link.entered + FORGOTTEN_AFTER;
+            if stays {
+                wake = wake.min(link.chain.next_wake());
+            }
+            stays
+        });
+        self.count.store(table.links.len(), Ordering::Relaxed);
         wake
+    }
+}
+
+impl SessionLink {
+    /// Puts a link of the session's own before its viewer, who is at `destination`; `None` is none. What was
+    /// inside the one before is lost. False if there are too many links.
+    pub(super) fn set(&self, destination: SocketAddr, impairment: Option<&Impairment>) -> bool {
+        // Where every viewer has a link, having none is a link, too.
+        let chain = match (impairment, &self.links.of_all) {
+            (Some(impairment), _) => Some(impairment.path.build(LABEL, impairment.seed)),
+            (None, Some(_)) => Some(PathConfig::unimpaired().build(LABEL, 0)),
+            (None, None) => None,
+        };
+        let mut table = self.links.lock();
+        // A viewer that has moved leaves none behind.
+        table.links.retain(|to, link| *to == destination || link.session != Some(self.session));
+        let has_room = table.links.len() < self.links.most || table.links.contains_key(&destination);
+        let is_set = match chain {
+            Some(Ok(chain)) if has_room => {
+                let (session, is_of_session) = (Some(self.session), true);
+                let link = Link { session, is_of_session, ..Link::new(chain, MAX_VIEWER_BYTES) };
+                table.links.insert(destination, link);
+                true
+            }
+            Some(_) => false,
+            None => {
+                table.links.remove(&destination);
+                true
+            }
+        };
+        self.links.count.store(table.links.len(), Ordering::Relaxed);
+        is_set
+    }
+}
+
+impl Drop for SessionLink {
+    fn drop(&mut self) {
+        let mut table = self.links.lock();
+        table.links.retain(|_, link| {
+            let is_ours = link.session == Some(self.session);
+            if is_ours {
+                // The last datagrams of the connection are still to pass.
+                link.session = None;
+            }
+            !(is_ours && link.is_of_session)
+        });
+        self.links.count.store(table.links.len(), Ordering::Relaxed);
     }
 }
 
 impl Link {
     fn new(chain: Chain, most_bytes: u64) -> Self {
-        Self { chain, most_bytes, next: 0, inside: BTreeMap::new() }
+        let (inside, session, is_of_session, entered) = (BTreeMap::new(), None, false, Nanos::ZERO);
+        Self { chain, most_bytes, next: 0, inside, session, is_of_session, entered }
     }
 
     fn enter(&mut self, payload: Payload, now: Nanos, destination: SocketAddr, socket: &dyn AsyncUdpSocket) {
@@ -249,6 +323,7 @@ impl fmt::Debug for Links {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Links")
             .field("of_all", &self.of_all)
+            .field("most", &self.most)
             .field("count", &self.count)
             .finish_non_exhaustive()
     }
@@ -296,5 +371,100 @@ impl AsyncUdpSocket for ImpairedSocket {
 
     fn may_fragment(&self) -> bool {
         self.inner.may_fragment()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug)]
+    struct Nowhere;
+
+    impl AsyncUdpSocket for Nowhere {
+        fn create_io_poller(self: Arc<Self>) -> Pin<Box<dyn UdpPoller>> {
+            panic!("nobody waits for it")
+        }
+
+        fn try_send(&self, _: &Transmit<'_>) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn poll_recv(
+            &self,
+            _: &mut Context<'_>,
+            _: &mut [io::IoSliceMut<'_>],
+            _: &mut [RecvMeta],
+        ) -> Poll<io::Result<usize>> {
+            Poll::Pending
+        }
+
+        fn local_addr(&self) -> io::Result<SocketAddr> {
+            Ok(at(0))
+        }
+    }
+
+    fn at(port: u16) -> SocketAddr {
+        ([127, 0, 0, 1], port).into()
+    }
+
+    fn send(links: &Links, port: u16) {
+        let (destination, contents) = (at(port), &[0; 100][..]);
+        let transmit = Transmit { destination, ecn: None, contents, segment_size: None, src_ip: None };
+        links.enter(&transmit, &Nowhere);
+    }
+
+    fn ports(links: &Links) -> Vec<u16> {
+        let ports: Vec<u16> = links.lock().links.keys().map(SocketAddr::port).collect();
+        assert_eq!(links.count.load(Ordering::Relaxed), ports.len());
+        ports
+    }
+
+    fn of_all() -> Option<Impairment> {
+        Some(Impairment { path: PathConfig::unimpaired(), seed: 7 })
+    }
+
+    #[test]
+    fn a_link_is_forgotten_after_its_viewer_and_its_seed_does_not_come_again() {
+        let links = Arc::new(Links::new(of_all(), 10));
+        (1..=2).for_each(|port| send(&links, port));
+        let session = links.begin_session(at(1));
+        links.send_due(Nanos::from_s(9), &Nowhere);
+        assert_eq!(ports(&links), [1, 2]);
+        links.send_due(Nanos::from_s(20), &Nowhere);
+        assert_eq!(ports(&links), [1]);
+        drop(session);
+        links.send_due(Nanos::from_s(20), &Nowhere);
+        assert!(ports(&links).is_empty());
+        send(&links, 3);
+        assert_eq!(links.lock().seeds, 3);
+    }
+
+    #[test]
+    fn a_new_destination_takes_no_link_of_a_viewer() {
+        let links = Arc::new(Links::new(of_all(), 2));
+        (1..=2).for_each(|port| send(&links, port));
+        let (one, _two) = (links.begin_session(at(1)), links.begin_session(at(2)));
+        send(&links, 3);
+        assert_eq!(ports(&links), [1, 2]);
+        drop(one);
+        send(&links, 3);
+        assert_eq!(ports(&links), [2, 3]);
+    }
+
+    #[test]
+    fn a_session_has_one_link_of_its_own_until_it_ends() {
+        let links = Arc::new(Links::new(None, 2));
+        let (one, two) = (links.begin_session(at(1)), links.begin_session(at(9)));
+        assert!(one.set(at(1), of_all().as_ref()) && two.set(at(9), of_all().as_ref()));
+        // The viewer has moved.
+        assert!(one.set(at(2), of_all().as_ref()));
+        assert_eq!(ports(&links), [2, 9]);
+        drop(two);
+        assert!(one.set(at(2), of_all().as_ref()) && links.has(&at(2)) && !links.has(&at(9)));
+        assert!(one.set(at(2), None) && ports(&links).is_empty());
+        one.set(at(2), of_all().as_ref());
+        drop(one);
+        assert!(ports(&links).is_empty() && !links.has(&at(2)));
     }
 }

@@ -62,12 +62,19 @@ impl OutgoingMedia {
         let mut stream = self.connection.open_uni().await?;
         // The control stream goes first.
         let _ = stream.set_priority(-1);
-        for part in [&self.head[..], packet] {
-            match stream.write_all(part).await {
-                Ok(()) => {}
-                Err(WriteError::ConnectionLost(error)) => return Err(error),
-                // The client does not want this one.
-                Err(_) => return Ok(()),
+        let writing = async {
+            stream.write_all(&self.head).await?;
+            stream.write_all(packet).await
+        };
+        match timeout(LATE, writing).await {
+            Ok(Ok(())) => {}
+            Ok(Err(WriteError::ConnectionLost(error))) => return Err(error),
+            // The client does not want this one.
+            Ok(Err(_)) => return Ok(()),
+            // It has no room for it.
+            Err(_) => {
+                let _ = stream.reset(VarInt::from_u32(0));
+                return Ok(());
             }
         }
         if stream.finish().is_ok() {

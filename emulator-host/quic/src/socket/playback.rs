@@ -1,5 +1,6 @@
 //! Plays what arrives: the decoder of `dgs-player` under the receiver of `emulator-host`, in real time.
 
+mod connections;
 mod seen;
 mod usable;
 
@@ -56,9 +57,7 @@ pub(crate) struct Playback {
     start_us: u64,
     /// What is before this frame has been shown before this round.
     resumes_at: u32,
-    /// Whether the server says where a round begins.
-    grows: bool,
-    /// Since when it has said so of this round.
+    /// Since when the server has said where this round of a stream that grows begins.
     begun: Option<Instant>,
     receiver: MediaReceiver,
     receipt: Vec<u8>,
@@ -100,7 +99,6 @@ impl Playback {
             first: 0,
             start_us: config.start_us,
             resumes_at: 0,
-            grows: false,
             begun: None,
             receiver: MediaReceiver::new(config.startup),
             receipt: Vec::new(),
@@ -108,7 +106,7 @@ impl Playback {
             conditions: config.conditions,
             anew: false,
             unanswered: false,
-            report: PlayReport { rounds: 1, connections: 1, ..PlayReport::default() },
+            report: PlayReport { rounds: 1, ..PlayReport::default() },
             seen: Seen::new(Nanos::ZERO),
             seen_us: 0,
             missing: Nanos::ZERO,
@@ -145,7 +143,7 @@ impl Playback {
         if self.player.is_none() || (self.begun.is_some() && round == self.round) {
             return Err(PlayError::Nonsense("begin before the manifest, or twice in a round".to_owned()));
         }
-        self.grows = true;
+        self.report.grows = true;
         if round == self.round {
             // Media that was there before the manifest may have been shown: that was not the beginning.
             if self.receiver.playout_start().is_some() {
@@ -154,7 +152,7 @@ impl Playback {
             self.move_start(start_us);
             self.begun = Some(Instant::now());
             // A server names the middle of a frame.
-            let is_new = start_us + self.interval.0 / 1000 >= self.seen_us;
+            let is_new = start_us.saturating_add(self.interval.0 / 1000) >= self.seen_us;
             self.ahead_since = self.ahead_since.filter(|_| !is_new);
         }
         Ok(())
@@ -209,25 +207,7 @@ impl Playback {
 
     /// Whether the stream grows.
     pub(crate) fn grows(&self) -> bool {
-        self.grows
-    }
-
-    /// The connection is gone and another is made: playout goes on from the frame that is due, whatever
-    /// window it lies in.
-    pub(super) fn reconnect(&mut self) {
-        self.report.connections += 1;
-        self.report.rounds += 1;
-        let frame = self.first + self.receiver.next_frame();
-        self.anew = false;
-        self.begin(0, time_us(frame, self.interval), frame);
-    }
-
-    /// Begins round 0 again under the conditions that are to hold, if any are, as another round: nothing of
-    /// it has been shown.
-    pub(super) fn begin_under_conditions(&mut self) -> Option<ClientMessage> {
-        let conditions = self.conditions?;
-        self.begin(self.round + 1, self.start_us, self.resumes_at);
-        Some(self.request(conditions))
+        self.report.grows
     }
 
     /// Begins the next round as it is wished for.
@@ -308,9 +288,12 @@ impl Playback {
     }
 
     /// The manifest has come, for the first time or again.
+    ///
+    /// # Errors
+    /// One that is refused, or another than before: what has arrived and was shown is of no other stream.
     pub(crate) fn manifest(&mut self, message: &[u8]) -> Result<(), PlayError> {
-        if self.player.is_some() && self.message == message {
-            return Ok(());
+        if self.player.is_some() {
+            return if self.message == message { Ok(()) } else { Err(PlayError::Changed) };
         }
         let waiting = match self.waiting.take() {
             Some(waiting) => waiting,
@@ -320,9 +303,7 @@ impl Playback {
         let (info, manifest) = (player.info(), player.manifest());
         self.starts = starts(manifest);
         self.interval = Nanos((1e9 / manifest.frames_per_second()).round() as u64);
-        if self.player.is_none() {
-            self.seen = Seen::new(self.interval);
-        }
+        self.seen = Seen::new(self.interval);
         self.report.frames = info.frames;
         self.message = message.to_vec();
         self.player = Some(player);
@@ -376,7 +357,7 @@ impl Playback {
     /// Starts playout if enough is there, and shows what is due.
     pub(crate) fn show_due(&mut self, screen: &mut dyn FrameSink) -> Result<(), PlayError> {
         let now = self.now();
-        let awaits_begin = self.grows && self.begun.is_none() && now < BEGIN_WAIT;
+        let awaits_begin = self.report.grows && self.begun.is_none() && now < BEGIN_WAIT;
         let holds = self.unanswered || self.ahead_since.is_some() || awaits_begin;
         let Some(player) = self.player.as_mut().filter(|_| !holds) else { return Ok(()) };
         if let Some(pose) = screen.pose() {
@@ -385,7 +366,7 @@ impl Playback {
         let (first, share) = (self.first, share(self.startup));
         let is_usable = || share.is_some_and(|share| base(player, first) >= share);
         // Of a stream that grows, nothing at all may have come yet: its time begins with the first base.
-        let waits = self.grows && self.receiver.playout_start().is_none() && {
+        let waits = self.report.grows && self.receiver.playout_start().is_none() && {
             if self.base_at.is_none() && base(player, first) > 0.0 {
                 self.base_at = Some(now);
             }
@@ -417,7 +398,7 @@ impl Playback {
             screen.shown(&shown);
             self.seen.show(shown, &mut self.report);
             screen.show(player, frame).map_err(PlayError::Nonsense)?;
-            if self.grows {
+            if self.report.grows {
                 let has_come = has_come(player, frame);
                 self.note_missing(frame, has_come);
             }
@@ -450,7 +431,7 @@ impl Playback {
             _ if self.unanswered || self.ahead_since.is_some() => None,
             Nanos::MAX => None,
             // What is waited for is media, and then a lead.
-            _ if self.grows && self.receiver.playout_start().is_none() => {
+            _ if self.report.grows && self.receiver.playout_start().is_none() => {
                 let at = self.base_at.filter(|_| self.resumes_at == 0)? + LIVE_LEAD;
                 (at > self.now()).then(|| self.round_began + Duration::from_nanos(at.0))
             }

@@ -82,6 +82,8 @@ pub struct FrameShown {
 pub struct PlayReport {
     /// Frames of the clip.
     pub frames: u32,
+    /// Whether the stream grows: each round begins at its newest window, and none after its end.
+    pub grows: bool,
     /// From the first packet of the handshake to the hello, milliseconds.
     pub handshake_ms: Option<f64>,
     /// From the first packet of the handshake to the first frame, milliseconds.

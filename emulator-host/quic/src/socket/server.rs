@@ -129,8 +129,10 @@ struct Shared {
     offers: Vec<Arc<ServedStream>>,
     limits: ServerLimits,
     policy: PolicyKind,
-    /// Where viewers' own links are; `None` where they may not change any.
+    /// Links of the socket, if it has any.
     links: Option<Arc<Links>>,
+    /// Whether viewers may change their own.
+    viewer_conditions: bool,
     slots: Arc<Semaphore>,
     viewers: Arc<PerAddress>,
     failed_handshakes: AtomicU64,
@@ -151,6 +153,26 @@ impl Server {
     /// # Errors
     /// [`ServerError`].
     pub fn bind(config: ServerConfig, offers: Vec<ServedStream>) -> Result<Self, ServerError> {
+        Self::on(Self::open(config.bind)?, config, offers)
+    }
+
+    /// Opens the port alone: one that cannot be had is known before streams are made.
+    ///
+    /// # Errors
+    /// [`ServerError::Bind`].
+    pub fn open(address: SocketAddr) -> Result<UdpSocket, ServerError> {
+        UdpSocket::bind(address).map_err(|error| ServerError::Bind { address, error })
+    }
+
+    /// Serves on `socket`, which was opened at [`ServerConfig::bind`]. Must be called inside a tokio runtime.
+    ///
+    /// # Errors
+    /// [`ServerError`].
+    pub fn on(
+        socket: UdpSocket,
+        config: ServerConfig,
+        offers: Vec<ServedStream>,
+    ) -> Result<Self, ServerError> {
         if offers.is_empty() {
             return Err(ServerError::NoStream);
         }
@@ -173,15 +195,14 @@ impl Server {
             .incoming_buffer_size(INCOMING_BYTES.0)
             .incoming_buffer_size_total(INCOMING_BYTES.1);
         let failed = |error| ServerError::Bind { address: bind, error };
-        let socket = UdpSocket::bind(bind).map_err(failed)?;
         let runtime = Arc::new(TokioRuntime);
         let strays = Arc::new(Strays::new(ids));
         let socket = runtime.wrap_udp_socket(socket).map_err(failed)?;
         let mut socket: Arc<dyn AsyncUdpSocket> = Arc::new(CountingSocket::new(socket, strays.clone()));
         let mut links = None;
         if impairment.is_some() || viewer_conditions {
-            let impaired = ImpairedSocket::new(socket, impairment)?;
-            links = viewer_conditions.then(|| impaired.links());
+            let impaired = ImpairedSocket::new(socket, impairment, limits.max_viewers)?;
+            links = Some(impaired.links());
             socket = Arc::new(impaired);
         }
         let mut endpoint = EndpointConfig::new(Arc::new(resets));
@@ -201,12 +222,15 @@ impl Server {
             limits,
             policy,
             links,
+            viewer_conditions,
             failed_handshakes: AtomicU64::new(0),
             ended: ended_sender,
             stopping,
         });
-        let (entrance, entering) = WebSocketAcceptor::new(shared.limits.max_viewers + SPARE_CONNECTIONS);
-        let connections = PerAddress::new(shared.limits.max_viewers_per_address + SPARE_PER_ADDRESS);
+        let of_address = shared.limits.max_viewers_per_address + SPARE_PER_ADDRESS;
+        let (entrance, entering) =
+            WebSocketAcceptor::new(shared.limits.max_viewers + SPARE_CONNECTIONS, of_address);
+        let connections = PerAddress::new(of_address);
         Ok(Self { endpoint, shared, pin, strays, connections, entrance, entering, ended, stop })
     }
 
@@ -354,7 +378,19 @@ async fn attend(opening: impl Future<Output = Result<Opened, Closed>>, shared: &
         Ok((greeting, offer, seat)) => {
             let Greeting { carrier, ending, send, control, start_us, .. } = greeting;
             let (limits, policy, links) = (shared.limits.clone(), shared.policy, shared.links.clone());
-            let session = Session { carrier, ending, send, control, offer, limits, policy, links, stopping };
+            let may_change = shared.viewer_conditions;
+            let session = Session {
+                carrier,
+                ending,
+                send,
+                control,
+                offer,
+                limits,
+                policy,
+                links,
+                may_change,
+                stopping,
+            };
             let (viewer, end) = session.run(start_us).await;
             drop(seat);
             (Some(viewer), end)

@@ -13,6 +13,7 @@ use super::{
     identity::{IdentityError, Pin, Trust},
     locator::Locator,
     message::{Conditions, Refusal},
+    printable::printable,
 };
 
 /// What to play, and how.
@@ -40,7 +41,8 @@ pub struct ClientConfig {
     /// What the server is to change in this session: its scheduler, an emulated link. What it grants of that,
     /// the report says; media that comes before it has answered is not used.
     pub conditions: Option<Conditions>,
-    /// Times that a lost connection is made again; playout goes on from where it is then.
+    /// Times that a lost connection is made again without a frame shown in between; playout goes on from
+    /// where it is then.
     pub reconnects: u32,
 }
 
@@ -87,20 +89,29 @@ pub enum PlayError {
         wanted: Pin,
     },
     /// The server's certificate is not of the authority, or the handshake failed otherwise.
-    #[error("the handshake failed: {0}")]
+    #[error("the handshake failed: {}", printable(.0))]
     Handshake(String),
     /// The server refuses.
     #[error("the server refuses: {0}")]
     Refused(Refusal),
     /// What the server says is not a session.
-    #[error("the server says nonsense: {0}")]
+    #[error("the server says nonsense: {}", printable(.0))]
     Nonsense(String),
+    /// The manifest is another than on the connection before.
+    #[error("the stream has changed: play again to see what is served by this name now")]
+    Changed,
     /// The manifest is refused.
     #[error("the manifest is refused: {0}")]
     Manifest(codec_core::Error),
     /// The server has said nothing for too long.
     #[error("the server said nothing for {ms} ms")]
     Silence {
+        /// How long.
+        ms: u128,
+    },
+    /// The time to play is over, and no manifest has come.
+    #[error("no manifest came within {ms} ms, the time to play")]
+    TimeUp {
         /// How long.
         ms: u128,
     },
@@ -111,7 +122,7 @@ pub enum PlayError {
         ms: u128,
     },
     /// A relay does not take the session, or ends it.
-    #[error("the relay: {0}")]
+    #[error("the relay: {}", printable(.0))]
     Relay(String),
     /// Nobody publishes the stream at the relay.
     #[error("nobody publishes {name} there; waited for {ms} ms")]
@@ -122,7 +133,7 @@ pub enum PlayError {
         ms: u128,
     },
     /// Who published the stream is gone.
-    #[error("the broadcast has ended: {0}")]
+    #[error("the broadcast has ended: {}", printable(.0))]
     Ended(String),
     /// The connection is gone.
     #[error("the connection is gone: {0}")]

@@ -24,7 +24,7 @@ use emulator_host::{
     GroupIndex, Nanos, PacketGraph, PacketIndex, PolicyKind,
     graph::{ClosureRule, GraphParts, Group, Packet},
 };
-use quinn::{Connection, Endpoint};
+use quinn::{Connection, Endpoint, TransportConfig};
 use tokio::{runtime::Runtime, sync::oneshot, task::JoinHandle};
 
 use super::{
@@ -43,7 +43,7 @@ pub(super) struct Loopback {
 
 impl Loopback {
     /// To a server of this `transport`.
-    pub(super) async fn new(transport: Arc<quinn::TransportConfig>) -> Self {
+    pub(super) async fn new(transport: Arc<TransportConfig>) -> Self {
         let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
         let trust = Trust::Pin(identity.pin());
         let mut config = quinn::ServerConfig::with_crypto(Arc::new(identity.server().unwrap()));
@@ -126,12 +126,16 @@ impl Running {
 
     /// A server that lets viewers change the conditions of their sessions, or does not.
     fn letting(viewer_conditions: bool, limits: ServerLimits, offer: ServedStream) -> Self {
+        Self::serving(viewer_conditions, limits, vec![offer])
+    }
+
+    fn serving(viewer_conditions: bool, limits: ServerLimits, offers: Vec<ServedStream>) -> Self {
         let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
         let (bind, policy) = ((Ipv4Addr::LOCALHOST, 0).into(), PolicyKind::Layered);
         let congestion = CongestionControl::default();
         let config =
             ServerConfig { bind, identity, limits, policy, congestion, impairment: None, viewer_conditions };
-        let server = Server::bind(config, vec![offer]).unwrap();
+        let server = Server::bind(config, offers).unwrap();
         let entrance = server.entrance();
         let (address, trust) = (server.local_addr().unwrap(), Trust::Pin(server.pin()));
         let (stop, stopped) = oneshot::channel::<()>();
@@ -170,9 +174,13 @@ impl Running {
     }
 
     async fn connect_by(&self, scheme: Scheme) -> (Endpoint, Connection) {
+        self.connect_with(scheme, client_transport(Duration::from_secs(10), scheme, true)).await
+    }
+
+    async fn connect_with(&self, scheme: Scheme, transport: Arc<TransportConfig>) -> (Endpoint, Connection) {
         let (crypto, _) = self.trust.client(scheme).unwrap();
         let mut config = quinn::ClientConfig::new(Arc::new(crypto));
-        config.transport_config(client_transport(Duration::from_secs(10), scheme, true));
+        config.transport_config(transport);
         let endpoint = Endpoint::client((Ipv4Addr::LOCALHOST, 0).into()).unwrap();
         let connecting = endpoint.connect_with(config, self.address, "localhost").unwrap();
         let connection = connecting.await.unwrap();

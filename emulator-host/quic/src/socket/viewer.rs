@@ -18,7 +18,7 @@ pub(super) use self::end::{End, end_session};
 use super::{
     carrier::{ControlWriter, NotSent, SendFuture, SessionCloser, SessionTransport},
     control::{Control, ControlError},
-    impair::Links,
+    impair::{Links, SessionLink},
     limits::{Allowance, ServerLimits},
     message::{ClientMessage, Conditions, Granted, Message as _, Refusal, RefusalCode, ServerMessage},
     round::Round,
@@ -50,8 +50,10 @@ pub(super) struct Session {
     pub(super) offer: Arc<ServedStream>,
     pub(super) limits: ServerLimits,
     pub(super) policy: PolicyKind,
-    /// Where the viewer's own link is; `None` where it may not change conditions.
+    /// Links of the server's socket, if it has any.
     pub(super) links: Option<Arc<Links>>,
+    /// Whether the viewer may change its conditions.
+    pub(super) may_change: bool,
     pub(super) stopping: watch::Receiver<bool>,
 }
 
@@ -80,7 +82,9 @@ struct Viewer<'s> {
     /// The server's scheduler, and the one that chooses.
     own_policy: PolicyKind,
     policy: PolicyKind,
-    links: Option<Arc<Links>>,
+    /// Where the viewer's own link is, if its transport has any.
+    link: Option<&'s SessionLink>,
+    may_change: bool,
     conditions: Conditions,
     began: Instant,
     round: Round,
@@ -124,15 +128,17 @@ async fn departure(sending: &mut Option<Sending<'_>>) -> Result<(), NotSent> {
 impl Session {
     /// Runs the session from `start_us` on.
     pub(super) async fn run(self, start_us: u64) -> (ViewerReport, End) {
-        let Self { carrier, mut ending, mut send, mut control, offer, limits, policy, links, mut stopping } =
-            self;
+        let Self { carrier, mut ending, mut send, mut control, offer, limits, policy, .. } = self;
+        let mut stopping = self.stopping;
         let began = Instant::now();
         let address = carrier.address();
+        let links = self.links.filter(|_| carrier.is_impaired_by_links());
+        let link = links.map(|links| links.begin_session(address));
         let mut tally = Tally::default();
         let mut scheduler = policy;
         let end = match Viewer::new(&carrier, &offer, &limits, policy, start_us) {
             Ok(mut viewer) => {
-                viewer.links.clone_from(&links);
+                (viewer.link, viewer.may_change) = (link.as_ref(), self.may_change);
                 let end = viewer.run(&mut ending, &mut send, &mut control, &limits, &mut stopping).await;
                 viewer.close_round();
                 (tally, scheduler) = (viewer.tally, viewer.policy);
@@ -141,9 +147,7 @@ impl Session {
             Err(error) => End::Refused(Refusal { code: RefusalCode::Message, sentence: error.to_string() }),
         };
         end_session(ending, send, &end).await;
-        if let Some(links) = links {
-            links.clear(address);
-        }
+        drop(link);
         let report = ViewerReport {
             address,
             stream: offer.name().to_owned(),
@@ -196,7 +200,8 @@ impl<'s> Viewer<'s> {
             offer,
             own_policy: policy,
             policy,
-            links: None,
+            link: None,
+            may_change: false,
             conditions: Conditions::NONE,
             began,
             round: Round::new(0, carrier, (now, first), policy, &delivered)?,
@@ -263,7 +268,7 @@ impl<'s> Viewer<'s> {
                 }
                 left = departure(&mut sending), if sending.is_some() => match left {
                     Ok(()) => self.on_datagram_sent(&mut sending),
-                    Err(NotSent::Closed(closed)) => return End::Gone(closed),
+                    Err(NotSent::Closed(closed)) => return closed.into(),
                     Err(NotSent::Refused(error)) => {
                         let sentence = format!("media does not pass as datagrams: {error}");
                         return End::Refused(Refusal { code: RefusalCode::Message, sentence });
@@ -274,7 +279,7 @@ impl<'s> Viewer<'s> {
                     Ok(datagram) => if let Err(refusal) = self.on_datagram(&datagram) {
                         return End::Refused(refusal);
                     },
-                    Err(closed) => return End::Gone(closed),
+                    Err(closed) => return closed.into(),
                 },
                 () = sleep_until(wake.into()) => {
                     if self.heard_at.elapsed() >= limits.idle {
@@ -405,13 +410,14 @@ impl<'s> Viewer<'s> {
 
     /// Puts the session under `conditions`, as far as the server lets it.
     fn grant(&mut self, conditions: Conditions) -> Granted {
-        let Some(links) = &self.links else { return Granted { link: false, scheduler: false } };
+        if !self.may_change {
+            return Granted { link: false, scheduler: false };
+        }
         self.conditions = conditions;
         self.policy = conditions.scheduler.unwrap_or(self.own_policy);
         let impairment = conditions.impairment();
         let link = !conditions.keeps_link
-            && self.carrier.is_impaired_by_links()
-            && links.set(self.carrier.address(), impairment.as_ref());
+            && self.link.is_some_and(|link| link.set(self.carrier.address(), impairment.as_ref()));
         if link {
             self.carrier.reset_least_rtt();
         }

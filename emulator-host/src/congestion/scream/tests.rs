@@ -95,6 +95,65 @@ fn flows_that_keep_the_queue_long_raise_the_target_and_their_end_lowers_it() {
     assert_eq!(fed.scream.target(), TARGET_HIGH);
 }
 
+/// 150 rounds at 100 ms, then 50 at 60: the mean is that of the newest 50, the deviation that of all.
+#[test]
+fn the_target_follows_the_newest_delays_as_far_as_they_vary() {
+    let mut others = OtherFlows::default();
+    (0..150).for_each(|_| others.take(Nanos::from_ms(100), false));
+    (0..50).for_each(|_| others.take(Nanos::from_ms(60), false));
+    let deviation = 40.0 * (0.75f64 * 0.25).sqrt();
+    let target = others.target(TARGET_LOW).as_ms();
+    assert!((target - (60.0 + deviation)).abs() < 0.5, "{target}");
+}
+
+#[test]
+fn reactions_in_a_row_keep_the_window_of_the_first() {
+    let mut fed = Fed::new();
+    let before = fed.scream.reference();
+    assert!(fed.lose(fed.now) && fed.lose(fed.now + Nanos(1)));
+    assert_eq!(fed.scream.inflexion, before);
+    fed.go_on(100, 0, 12_000);
+    let grown = fed.scream.reference();
+    assert!(fed.lose(fed.now));
+    assert_eq!(fed.scream.inflexion, grown);
+}
+
+/// A window of a hundred datagrams grows by one in a round trip, and by another two after a hundred of them;
+/// near the window of the last congestion by a quarter of that, and the two by a tenth of it again; over a
+/// round trip of 10 ms by two fifths of that, and a hundred round trips take as long as of 25 ms.
+#[test]
+fn the_window_grows_as_the_text_has_it() {
+    let grown = |round_trip_ms: u64, calm_ms: u64, inflexion: u64| {
+        let now = Nanos::from_s(100);
+        let mut rtt = Rtt::new(Nanos::from_ms(25));
+        rtt.update(Nanos::from_ms(round_trip_ms), Nanos::ZERO, now);
+        let window = 100 * DATAGRAM;
+        let mut scream = Scream {
+            reference: window * PARTS,
+            inflexion: inflexion * DATAGRAM,
+            starting: false,
+            congested_at: now - Nanos::from_ms(calm_ms),
+            most_in_flight: [window; 2],
+            ..Scream::new(DATAGRAM)
+        };
+        scream.grow(window, &rtt, now);
+        (scream.reference - window * PARTS) as f64 / (DATAGRAM * PARTS) as f64
+    };
+    for (round_trip_ms, calm_ms, inflexion, expected) in [
+        (40, 0, 200, 1.0),
+        (40, 4_000, 200, 3.0),
+        (40, 2_000, 200, 2.0),
+        (40, 0, 100, 0.25),
+        (40, 4_000, 100, 0.25 * 1.2),
+        (10, 0, 200, 0.4),
+        (10, 1_000, 200, 0.4 * 1.8),
+        (10, 2_500, 200, 0.4 * 3.0),
+    ] {
+        let found = grown(round_trip_ms, calm_ms, inflexion);
+        assert!((found - expected).abs() < 0.01, "{round_trip_ms} {calm_ms} {inflexion}: {found}");
+    }
+}
+
 #[test]
 fn an_old_base_is_forgotten_after_ten_minutes() {
     let mut base = BaseDelay::default();

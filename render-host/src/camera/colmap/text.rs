@@ -31,7 +31,10 @@ pub(super) fn read_cameras(bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, Ca
         if !words.is_nothing() {
             return Err(words.refused("end of line", words.text, "no further parameter"));
         }
-        cameras.insert(id, model.intrinsics(id, size, &parameters)?);
+        let intrinsics = model.intrinsics(id, size, &parameters)?;
+        if cameras.insert(id, intrinsics).is_some() {
+            return Err(words.refused("camera id", &id.to_string(), "an id that no camera above has"));
+        }
     }
     Ok(cameras)
 }
@@ -63,10 +66,23 @@ pub(super) fn read_images(
             return Err(error.of(name));
         };
         views.push(view(name.to_owned(), pose, *intrinsics)?);
-        // The image's points.
-        lines.next();
+        if let Some((line, text)) = lines.next() {
+            step_over_points(&Words { line, text: text? })?;
+        }
     }
     Ok(views)
+}
+
+/// Steps over the points of an image: x, y and an id of each, or nothing. A line of anything else is the next
+/// image, whose turn it is not yet.
+fn step_over_points(words: &Words<'_>) -> Result<(), CameraError> {
+    let numbers = words.text.split_whitespace().take_while(|word| word.parse::<f64>().is_ok()).count();
+    let all = words.text.split_whitespace().count();
+    if numbers == all && all.is_multiple_of(3) {
+        return Ok(());
+    }
+    let allowed = "x, y and id of each point that the image of the line before sees, or an empty line,";
+    Err(words.refused("points of an image", words.text.trim(), allowed))
 }
 
 /// The lines of a text, each with its number from 1.
@@ -171,6 +187,13 @@ mod tests {
             (CAMERAS, "1 1 0 0 zero 0 0 1 7 x.png", "line 1: image pose is \"zero\""),
             (CAMERAS, "#\n1 1 0 0 0 0 0 1 7", "line 2: image name is \"\""),
             (CAMERAS, "1 0 0 0 0 0 0 1 7 x.png", "x.png: length of qvec is 0"),
+            (CAMERAS, "1 1 0 0 0 0 0 1 7 x.png\n2 1 0 0 0 0 0 1 7 y.png", "images.txt: line 2: points of an"),
+            (CAMERAS, "1 1 0 0 0 0 0 1 7 x.png\n1.5 2.5", "line 2: points of an image is \"1.5 2.5\""),
+            (
+                "7 PINHOLE 64 48 1 1 1 1\n7 PINHOLE 64 48 2 2 1 1",
+                "",
+                "cameras.txt: line 2: camera id is \"7\"",
+            ),
         ] {
             let error = read(cameras, images).unwrap_err().to_string();
             assert!(error.contains(says), "{error}, not {says}");

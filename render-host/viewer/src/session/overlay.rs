@@ -83,6 +83,8 @@ pub(super) struct Painter {
     grown: BTreeMap<BlockPlace, (usize, f64)>,
     /// When any did.
     last_grown_s: f64,
+    /// Whether one was painted brighter than it will be in the end.
+    fading: bool,
 }
 
 impl Painter {
@@ -99,10 +101,14 @@ impl Painter {
         self.set_overlay(self.overlay);
     }
 
-    /// Sets the time; true while colours change with it.
-    pub(super) fn set_time(&mut self, now_s: f64) -> bool {
+    /// Sets the time.
+    pub(super) fn set_time(&mut self, now_s: f64) {
         self.now_s = now_s;
-        self.overlay == Overlay::Arrivals && now_s < self.last_grown_s + BRIGHT_S
+    }
+
+    /// Whether colours of what was painted last change with time: until it is painted as nothing new.
+    pub(super) fn fading(&self) -> bool {
+        self.fading
     }
 
     /// `gaussians` of a frame of `epoch`, painted by what of `content` has come; without higher harmonics.
@@ -135,6 +141,7 @@ impl Painter {
             let sh0 = colour.map(|c| (c - 0.5) / SH0);
             self.painted[gaussians].iter_mut().for_each(|gaussian| gaussian.sh0 = sh0);
         }
+        self.fading = self.overlay == Overlay::Arrivals && self.now_s < self.last_grown_s + BRIGHT_S;
         Ok(&self.painted)
     }
 

@@ -92,6 +92,30 @@ fn what_has_just_come_is_bright_for_a_second() {
 }
 
 #[test]
+fn what_has_just_come_gets_dark_where_the_clip_stands() {
+    let stream = Stream::from_bytes(FILE).unwrap().0;
+    let mut session = Session::new(stream.message()).unwrap();
+    session.set_live();
+    let bright = |session: &mut Session| {
+        shown(session).iter().filter(|gaussian| 0.5 + SH0 * gaussian.sh0[0] > 0.9).count()
+    };
+    session.set_overlay(Overlay::Arrivals);
+    assert_eq!(bright(&mut session), 0);
+    assert!(!session.fading());
+    stream.packets().iter().for_each(|packet| session.push(packet));
+    assert!(!session.deliver(5.0), "everything is through");
+    assert!(bright(&mut session) > 0);
+    // Nothing comes any more, and still there is something to show: up to a picture without any bright block.
+    assert!(session.fading() && session.deliver(5.9));
+    shown(&mut session);
+    let before = session.content();
+    assert!(session.fading() && session.deliver(7.0));
+    assert!(session.content() > before);
+    assert_eq!(bright(&mut session), 0);
+    assert!(!session.fading() && !session.deliver(7.1));
+}
+
+#[test]
 fn what_is_missing_is_bright_by_what_it_would_add_and_moves_nothing() {
     let mut session = session();
     let plain = shown(&mut session);
@@ -154,6 +178,52 @@ fn a_rate_delivers_over_time() {
     let (_, decoded) = session.packets();
     assert!(decoded > 0 && decoded < came, "{decoded} of {came}");
     assert!(!session.deliver(11.5));
+}
+
+/// What a server sends takes as long as it would over the network, whenever it comes.
+#[test]
+fn a_network_delays_each_packet_of_a_server() {
+    let stream = Stream::from_bytes(FILE).unwrap().0;
+    let packets: Vec<_> = stream.packets().iter().filter(|packet| !packet.is_empty()).collect();
+    let mut session = Session::new(stream.message()).unwrap();
+    session.set_live();
+    // It comes before there is a network: from its beginning on it is on its way.
+    session.push(packets[0]);
+    let delay_s = 0.25;
+    session.impair(Conditions { delay_s, ..Conditions::default() }).unwrap();
+    assert!(session.deliver(3.0) && session.deliver(3.2));
+    assert!(!session.deliver(3.25));
+    assert_eq!(session.packets(), (1, 1));
+    session.push(packets[1]);
+    assert!(session.deliver(10.0) && session.deliver(10.2));
+    assert_eq!(session.packets(), (2, 1));
+    assert!(!session.deliver(10.25));
+    assert_eq!(session.packets(), (2, 2));
+    // A rate that was not used is gone.
+    let bits = |packets: &[&Vec<u8>]| 8.0 * packets.iter().map(|packet| packet.len()).sum::<usize>() as f64;
+    let rate_bps = Some(bits(&packets[2..]));
+    session.impair(Conditions { rate_bps, ..Conditions::default() }).unwrap();
+    session.deliver(20.0);
+    assert!(!session.deliver(25.0));
+    packets[2..].iter().for_each(|packet| session.push(packet));
+    assert!(session.deliver(30.0) && session.deliver(30.5));
+    let came = session.packets().0;
+    assert_eq!(came, packets.len());
+    // What is on its way is not stored again when the server repeats it; what is lost has another chance.
+    packets.iter().for_each(|packet| session.push(packet));
+    assert_eq!(session.packets().0, came);
+    assert!(!session.deliver(31.01));
+    assert_eq!(session.levels().unwrap()[0], 0);
+    session.impair(Conditions { loss: 0.9, ..Conditions::default() }).unwrap();
+    packets.iter().for_each(|packet| session.push(packet));
+    assert_eq!(session.packets().0, came);
+    session.deliver(40.0);
+    packets.iter().for_each(|packet| session.push(packet));
+    assert!(session.packets().0 > came);
+    // A server that begins anew finds nothing on its way.
+    session.restart().unwrap();
+    packets.iter().for_each(|packet| session.push(packet));
+    assert_eq!(session.packets().0, packets.len());
 }
 
 #[test]

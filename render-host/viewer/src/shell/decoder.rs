@@ -179,12 +179,6 @@ impl Decoder {
         self.session.missing().iter().flat_map(|frames| [frames.start, frames.end]).collect()
     }
 
-    /// A number that changes with what is shown, but for the frame.
-    #[wasm_bindgen(getter)]
-    pub fn content(&self) -> f64 {
-        self.session.content() as f64
-    }
-
     /// Goes to frame `frame`.
     #[wasm_bindgen(js_name = goTo)]
     pub fn go_to(&mut self, frame: u32) {
@@ -237,6 +231,12 @@ impl Decoder {
     /// Lets the emulated network deliver; true while packets are on their way.
     pub fn deliver(&mut self, now_s: f64) -> bool {
         self.session.deliver(now_s)
+    }
+
+    /// Whether something was packed in a colour that changes with time.
+    #[wasm_bindgen(getter)]
+    pub fn fading(&self) -> bool {
+        self.session.fading()
     }
 
     /// Blocks of the frame by level: proxies, base, refinements 1 to 3.

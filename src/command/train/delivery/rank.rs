@@ -6,7 +6,9 @@ use anyhow::{Context, Result, anyhow, bail};
 use serde::{Deserialize, Serialize};
 use trainer_host::{
     Scene,
-    train::delivery::{DeliveryOptions, RankChoice, RankResult, Reference, choose_rank, measure_rank},
+    train::delivery::{
+        DeliveryOptions, RankChoice, RankResult, Reference, choose_rank, input_hashes, measure_rank,
+    },
 };
 
 use super::super::{folder::Folder, interruption::Interruption};
@@ -22,7 +24,7 @@ const PART_OF_UPDATES: usize = 2;
 /// The file of what was measured, for people and to go on with.
 #[derive(Debug, Serialize, Deserialize)]
 struct Measured {
-    /// What it depends on: input, references and options.
+    /// What it depends on: input, scene, references and options.
     of: String,
     /// What came of each rank with each seed so far.
     results: Vec<RankResult>,
@@ -60,7 +62,13 @@ pub(super) fn chosen(
         part.push(reference.clone());
     }
     let options = DeliveryOptions { updates: options.updates.div_ceil(PART_OF_UPDATES), ..options.clone() };
-    let of = format!("{}, {} pictures, options {:016x}", args.input, references.len(), options.hash());
+    let [scene_hash, pictures] = input_hashes(scene, references);
+    let of = format!(
+        "{}, scene {scene_hash}, {} pictures {pictures}, options {:016x}",
+        args.input,
+        references.len(),
+        options.hash()
+    );
     let runs: Vec<(usize, u64)> = RANKS.flat_map(|rank| SEEDS.map(|seed| (rank, seed))).collect();
     let mut measured = begun(args, folder, of, &runs)?;
     let bar = Progress::new("choose the rank", quiet.0);

@@ -111,7 +111,7 @@ class Scene:
         *,
         fps: float | None = None,
         samples: int = 20000,
-        clip: str | None = None,
+        clip: int | str | None = None,
         seed: int = 1,
         identity_stored: bool = False,
         keep_readable: bool = False,
@@ -120,10 +120,12 @@ class Scene:
     ) -> Scene:
         """Reads whatever ``dgs import`` reads, or a .dgs file; content decides before the ending.
 
-        ``fps`` is for sources that do not say, by default 30. ``samples``, ``clip`` and ``seed`` are for animated meshes.
+        ``fps`` is for sources that do not say, by default 30. ``samples``, ``clip`` (name or number from 0, by default
+        the first) and ``seed`` are for animated meshes.
         ``identity_stored``: rows of a numbered sequence are the same Gaussians at every frame.
         ``keep_readable`` keeps the readable part of a damaged source; of a .dgs file it is kept anyway, with a
-        UserWarning. ``up`` is which axis points up, by default the usual one of the format.
+        UserWarning. ``up`` is which axis points up, by default what the
+        file says (.dgs, .4dgs), else the usual one of the format.
 
         Raises FileNotFoundError, DamagedError for what is damaged, ValueError for what is refused.
         """
@@ -180,8 +182,9 @@ class Scene:
 
         .ply, .compressed.ply, .spz, .splat, .sog, .glb and .gltf hold the one ``frame`` (.gltf with a .bin of the
         same name beside it, which must not be there yet), a folder without an ending
-        every frame as a PLY, .4dgs all of it, .dgs all of it as :func:`encode` writes it by default. The scene is turned to
-        the axes that are usual in the format unless ``keep_axes``.
+        every frame as a PLY and a sequence.json with their rate, .4dgs all of it, .dgs all of it as :func:`encode` writes it by default. The scene is turned to
+        the axes that are usual in the format unless ``keep_axes``; .dgs keeps them, and says which is up. A file
+        needs a Gaussian, a frame of a folder does not.
         """
     def __len__(self) -> int: ...
     @property

@@ -53,7 +53,8 @@ fn values(a: &Attributes, t: usize, n: usize, i: usize) -> [[f32; 3]; 3] {
     [a.positions.frame(t, n)[i], a.log_scales.frame(t, n)[i], a.sh0.frame(t, n)[i].map(display_colour)]
 }
 
-/// Least and greatest position, log-scale and colour of a chunk, in the order of [`RANGES`].
+/// Least and greatest position, log-scale and colour of a chunk, in the order of [`PLACES`] and
+/// [`COLOURS`].
 fn ranges(a: &Attributes, t: usize, n: usize, chunk: &[u32]) -> [[f32; 3]; 6] {
     let mut out = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]].repeat(3);
     for &i in chunk {

@@ -7,10 +7,13 @@ use std::{
 
 use codec_core::{Footprint, ShDegree};
 
-use super::{compressed_ply, gltf, ply, sog, splat, spz};
+use super::{compressed_ply, gltf, nothing_to_write, ply, sog, splat, spz};
 use crate::scene::{
     Epoch, Up,
-    import::{Format, default_up, spz::COLOUR_SCALE},
+    import::{
+        Format, default_up,
+        spz::{COLOUR_SCALE, LEAST_LOG_SCALE, LOG_SCALE_STEP},
+    },
 };
 
 /// What one frame is written as.
@@ -89,7 +92,8 @@ impl FileFormat {
     /// are drawn with `footprint`, as far as the format can say.
     ///
     /// # Errors
-    /// More Gaussians, or values further apart, than the format holds; a name of a buffer that is no Unicode.
+    /// No Gaussian; more of them, or values further apart, than the format holds; a name of a buffer that is
+    /// no Unicode.
     pub fn encode(
         self,
         epoch: &Epoch,
@@ -97,12 +101,16 @@ impl FileFormat {
         footprint: Footprint,
         path: &Path,
     ) -> io::Result<FrameFiles> {
+        if epoch.count() == 0 {
+            return Err(nothing_to_write());
+        }
         let antialiased = footprint.compensates_opacity();
         let bytes = match self {
             Self::Ply => ply::encode(epoch, t),
             Self::CompressedPly => compressed_ply::encode(epoch, t),
             Self::Spz => {
-                spz::encode(epoch, t, &spz::SpzOptions { antialiased, ..spz::SpzOptions::default() })?
+                let (version, fraction_bits) = (spz::Version::default(), spz::fine_fraction_bits(epoch, t));
+                spz::encode(epoch, t, &spz::SpzOptions { version, fraction_bits, antialiased })?
             }
             Self::Splat => splat::encode(epoch, t),
             Self::Sog => sog::encode(epoch, t, antialiased)?,
@@ -131,6 +139,17 @@ impl FileFormat {
         let is_within = |sh0: &f32| (-0.5..=255.5).contains(&(255.0 * unit(*sh0)));
         let colours = epoch.attributes().sh0.frame(t, epoch.count());
         colours.iter().filter(|colour| !colour.iter().all(is_within)).count()
+    }
+
+    /// Gaussians of frame `t` of `epoch` that have a scale beyond what it holds, which is clamped.
+    pub fn clamped_scales(self, epoch: &Epoch, t: usize) -> usize {
+        if self != Self::Spz {
+            return 0;
+        }
+        // Half a step beyond is still the nearest.
+        let (low, high) = (LEAST_LOG_SCALE - 0.5 * LOG_SCALE_STEP, LEAST_LOG_SCALE + 255.5 * LOG_SCALE_STEP);
+        let scales = epoch.attributes().log_scales.frame(t, epoch.count());
+        scales.iter().filter(|scale| !scale.iter().all(|s| (low..=high).contains(s))).count()
     }
 
     /// What it cannot hold of Gaussians of degree `degree` that are drawn with `footprint`, for people.
@@ -162,6 +181,29 @@ mod tests {
         let clamped = [FileFormat::Splat, FileFormat::Spz, FileFormat::Ply]
             .map(|format| format.clamped_colours(&epoch, 0));
         assert_eq!(clamped, [2, 1, 0]);
+    }
+
+    #[test]
+    fn scales_that_are_clamped_are_counted() {
+        let mut attributes = crate::scene::export::tests::epoch(4, 0).attributes().clone();
+        let scales = vec![[-10.02, 0.0, 5.96], [-10.1, 0.0, 0.0], [0.0, 6.0, 0.0], [-3.0; 3]];
+        attributes.log_scales = crate::scene::Track::Constant(scales);
+        let epoch = Epoch::new(1, attributes).unwrap();
+        let clamped = [FileFormat::Spz, FileFormat::Splat].map(|format| format.clamped_scales(&epoch, 0));
+        assert_eq!(clamped, [2, 0]);
+    }
+
+    #[test]
+    fn a_frame_without_gaussians_is_refused() {
+        let epoch = crate::scene::export::tests::epoch(0, 0);
+        for ending in FileFormat::ENDINGS.split(", ") {
+            let path = PathBuf::from(format!("a{ending}"));
+            let format = FileFormat::of(&path).unwrap();
+            let error = format.encode(&epoch, 0, Footprint::default(), &path).unwrap_err().to_string();
+            assert!(error.contains("no Gaussian is left"), "{ending}: {error}");
+        }
+        let scene = crate::Scene::new(vec![epoch], 30.0).unwrap();
+        assert!(super::super::fourdgs::encode(&scene).unwrap_err().to_string().contains("no Gaussian"));
     }
 
     #[test]

@@ -14,7 +14,7 @@ use ::fourdgs::{
     write_to_vec,
 };
 
-use super::{display_colour, sigmoid};
+use super::{display_colour, nothing_to_write, sigmoid};
 use crate::scene::{Epoch, Scene, Up};
 
 /// The format's finest steps.
@@ -29,7 +29,7 @@ const OFF_LINE: f32 = 0.1;
 /// `scene` as a file.
 ///
 /// # Errors
-/// What the format's own writer refuses.
+/// No Gaussian at any frame, or what the format's own writer refuses.
 pub fn encode(scene: &Scene) -> io::Result<Vec<u8>> {
     let degree = scene.epochs().iter().map(|epoch| epoch.attributes().sh_degree.get()).max().unwrap_or(0);
     let coefficients = (usize::from(degree) + 1).pow(2) - 1;
@@ -48,6 +48,9 @@ pub fn encode(scene: &Scene) -> io::Result<Vec<u8>> {
             }
         }
         first += epoch.frames();
+    }
+    if set.mu_t.is_empty() {
+        return Err(nothing_to_write());
     }
     snap(&mut set);
     let options =
@@ -115,17 +118,31 @@ fn run(epoch: &Epoch, i: usize, t: usize) -> usize {
             && a.opacity_logits.frame(frame, n)[i] == a.opacity_logits.frame(t, n)[i]
             && a.sh0.frame(frame, n)[i] == a.sh0.frame(t, n)[i]
     };
-    let scales = a.log_scales.frame(t, n)[i];
-    let allowed = OFF_LINE * scales[0].min(scales[1]).min(scales[2]).exp();
-    let place = |frame: usize| a.positions.frame(frame, n)[i];
-    let is_straight = |last: usize| {
-        let (from, to, steps) = (place(t), place(last), (last - t) as f32);
-        (t + 1..last).all(|frame| {
-            let share = (frame - t) as f32 / steps;
-            (0..3).all(|d| (from[d] + share * (to[d] - from[d]) - place(frame)[d]).abs() <= allowed)
-        })
-    };
-    (t + 1..epoch.frames()).find(|&frame| !is_same(frame) || !is_straight(frame)).unwrap_or(epoch.frames())
+    let allowed = allowed(epoch, i, t);
+    let place = |frame: usize, axis: usize| f64::from(a.positions.frame(frame, n)[i][axis]);
+    // Slopes of lines from the first centre that pass all centres so far closely enough.
+    let (mut low, mut high) = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
+    for frame in t + 1..epoch.frames() {
+        if !is_same(frame) {
+            return frame;
+        }
+        let since = (frame - t) as f64;
+        for axis in 0..3 {
+            let away = place(frame, axis) - place(t, axis);
+            if !(low[axis]..=high[axis]).contains(&(away / since)) {
+                return frame;
+            }
+            low[axis] = low[axis].max((away - allowed) / since);
+            high[axis] = high[axis].min((away + allowed) / since);
+        }
+    }
+    epoch.frames()
+}
+
+/// How far from a straight line the centre of Gaussian `i` may be from frame `t` on, scene units.
+fn allowed(epoch: &Epoch, i: usize, t: usize) -> f64 {
+    let scales = epoch.attributes().log_scales.frame(t, epoch.count())[i];
+    f64::from(OFF_LINE * scales[0].min(scales[1]).min(scales[2]).exp())
 }
 
 /// Adds Gaussian `i` from frame `t` of `epoch`, whose first is frame `first` of the clip, up to `end`.
@@ -246,6 +263,50 @@ mod tests {
         let births = synth::make(&options, &Limits::default()).unwrap();
         let again = import::fourdgs::parse(&encode(&births).unwrap(), 30.0, &Limits::default()).unwrap();
         assert_eq!(again.frames(), 20);
+    }
+
+    /// As [`run`], each line being compared with every centre on the way.
+    fn run_by_comparing(epoch: &Epoch, i: usize, t: usize) -> usize {
+        let (n, allowed) = (epoch.count(), allowed(epoch, i, t));
+        let place = |frame: usize| epoch.attributes().positions.frame(frame, n)[i].map(f64::from);
+        let is_straight = |last: usize| {
+            let (from, to) = (place(t), place(last));
+            (t + 1..last).all(|frame| {
+                let share = (frame - t) as f64 / (last - t) as f64;
+                (0..3).all(|d| (from[d] + share * (to[d] - from[d]) - place(frame)[d]).abs() <= allowed)
+            })
+        };
+        (t + 1..epoch.frames()).find(|&frame| !is_straight(frame)).unwrap_or(epoch.frames())
+    }
+
+    #[test]
+    fn runs_are_those_that_comparing_every_centre_finds() {
+        let (count, frames) = (60, 80);
+        let mut attributes = epoch(count, 0).attributes().clone();
+        // Wanders of growing size around lines, beside Gaussians of .0025 to .14 units.
+        let noise =
+            |i: usize, t: usize, d: usize| ((i * 31 + t * 17 + d * 7) * 2_654_435 % 1009) as f32 / 1009.0;
+        let place = |t: usize| {
+            move |i: usize| [0, 1, 2].map(|d| 0.01 * (t * (d + 1)) as f32 + 3e-4 * i as f32 * noise(i, t, d))
+        };
+        attributes.positions = Track::PerFrame((0..frames).flat_map(|t| (0..count).map(place(t))).collect());
+        let epoch = Epoch::new(frames, attributes).unwrap();
+        let mut lengths = std::collections::BTreeSet::new();
+        for (i, t) in (0..count).flat_map(|i| (0..frames).map(move |t| (i, t))) {
+            let end = run(&epoch, i, t);
+            assert_eq!(end, run_by_comparing(&epoch, i, t), "Gaussian {i} from frame {t}");
+            lengths.insert(end - t);
+        }
+        assert!(lengths.len() > 20, "{lengths:?}");
+    }
+
+    /// Comparing every centre with every line would take hours.
+    #[test]
+    fn long_lines_are_found_in_time() {
+        let mut attributes = epoch(1, 0).attributes().clone();
+        let frames = 1_000_000;
+        attributes.positions = Track::PerFrame((0..frames).map(|t| [t as f32, 0.0, 1.0]).collect());
+        assert_eq!(run(&Epoch::new(frames, attributes).unwrap(), 0, 0), frames);
     }
 
     #[test]

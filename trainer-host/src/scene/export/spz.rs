@@ -1,16 +1,17 @@
 //! Writes SPZ, version 3 (one gzip stream) and version 4 (a zstd stream per plane).
 //!
-//! Lossy: positions to `2^-fraction_bits` units (12 by default: a quarter of a millimetre in metres),
-//! scales to 1/16 of a natural log, opacity and colour to a byte, rotations to ten bits a component,
-//! harmonics to a byte on a grid of five bits (degree 1) and four (above). Positions beyond what 24
-//! bits hold at the requested fraction get fewer fraction bits, chosen per frame, so nothing wraps.
+//! Lossy: positions to `2^-fraction_bits` units (12 by default: a quarter of a millimetre in metres; more
+//! where Gaussians are so small that it would show), scales to 1/16 of a natural log from e^-10 to e^5.9,
+//! opacity and colour to a byte, rotations to ten bits a component, harmonics to a byte on a grid of five
+//! bits (degree 1) and four (above). Positions beyond what 24 bits hold at the requested fraction get fewer
+//! fraction bits, chosen per frame, so nothing wraps.
 
 use std::io::{self, Write};
 
 use crate::{
     import::{
         snapshot::SH_C0,
-        spz::{COLOUR_SCALE, MAGIC},
+        spz::{COLOUR_SCALE, LEAST_LOG_SCALE, LOG_SCALE_STEP, MAGIC},
     },
     scene::Epoch,
 };
@@ -38,8 +39,31 @@ pub struct SpzOptions {
 
 impl Default for SpzOptions {
     fn default() -> Self {
-        Self { version: Version::V3, fraction_bits: 12, antialiased: false }
+        Self { version: Version::V3, fraction_bits: USUAL_FRACTION_BITS, antialiased: false }
     }
+}
+
+/// Fraction bits that the format's own writer uses.
+const USUAL_FRACTION_BITS: u8 = 12;
+/// Most fraction bits: those of 24 bits but the sign.
+const MOST_FRACTION_BITS: u8 = 23;
+/// Steps of positions that a small Gaussian is wide, at least.
+const STEPS_PER_SIZE: f32 = 8.0;
+
+/// Fraction bits at which positions in frame `t` of `epoch` are fine beside the Gaussians: the step is an
+/// eighth, or less, of the size that nine of ten Gaussians exceed, and at most the usual one.
+pub(super) fn fine_fraction_bits(epoch: &Epoch, t: usize) -> u8 {
+    let scales = epoch.attributes().log_scales.frame(t, epoch.count());
+    // The format has none that are smaller.
+    let size = |s: &[f32; 3]| ((s[0] + s[1] + s[2]) / 3.0).max(LEAST_LOG_SCALE);
+    let mut sizes: Vec<f32> = scales.iter().map(size).collect();
+    let tenth = sizes.len() / 10;
+    if sizes.is_empty() {
+        return USUAL_FRACTION_BITS;
+    }
+    let (_, small, _) = sizes.select_nth_unstable_by(tenth, f32::total_cmp);
+    let needed = (STEPS_PER_SIZE / small.exp()).log2().ceil();
+    needed.clamp(f32::from(USUAL_FRACTION_BITS), f32::from(MOST_FRACTION_BITS)) as u8
 }
 
 /// Frame `t` of `epoch` as SPZ. `t` must be below the epoch's frame count.
@@ -108,7 +132,7 @@ fn fraction_bits(epoch: &Epoch, t: usize, requested: u8) -> io::Result<u8> {
             (furthest, at) = (reach, i);
         }
     }
-    (0..=requested.min(23))
+    (0..=requested.min(MOST_FRACTION_BITS))
         .rev()
         .find(|&bits| f64::from(furthest) * f64::from(1u32 << bits) + 0.5 < 8_388_607.0)
         .ok_or_else(|| {
@@ -128,7 +152,8 @@ fn planes(epoch: &Epoch, t: usize, fraction_bits: u8) -> [Vec<u8>; 6] {
     });
     let alphas = a.opacity_logits.frame(t, n).iter().map(|o| byte(255.0 / (1.0 + (-o).exp())));
     let colours = a.sh0.frame(t, n).iter().flatten().map(|c| byte((c * COLOUR_SCALE + 0.5) * 255.0));
-    let scales = a.log_scales.frame(t, n).iter().flatten().map(|s| byte((s + 10.0) * 16.0));
+    let scales =
+        a.log_scales.frame(t, n).iter().flatten().map(|s| byte((s - LEAST_LOG_SCALE) / LOG_SCALE_STEP));
     let rotations = a.rotations.frame(t, n).iter().flat_map(|q| pack_rotation(*q).to_le_bytes());
     let rest = a.sh_degree.rest_len().max(1);
     let harmonics = a.sh_rest.iter().enumerate().map(|(i, &v)| {
@@ -268,6 +293,31 @@ mod tests {
         assert_eq!(bytes[13], 6);
         let back = import::spz::parse(&bytes, &Limits::default()).unwrap();
         agree(&epoch, &back.epoch, 6);
+    }
+
+    #[test]
+    fn small_scenes_get_finer_positions() {
+        let with = |extent: f32, log_scale: f32| {
+            let mut attributes = random(500, extent).attributes().clone();
+            attributes.log_scales = crate::Track::Constant(vec![[log_scale; 3]; 500]);
+            Epoch::new(1, attributes).unwrap()
+        };
+        assert_eq!(fine_fraction_bits(&with(2.0, -4.0), 0), 12);
+        // Of small Gaussians far apart positions get as many bits as are left.
+        for (extent, log_scale, wanted, written) in
+            [(0.003, -9.5, 17, 17), (0.003, -30.0, 18, 18), (20.0, -9.5, 17, 17), (2000.0, -9.5, 17, 12)]
+        {
+            let epoch = with(extent, log_scale);
+            let fraction_bits = fine_fraction_bits(&epoch, 0);
+            assert_eq!(fraction_bits, wanted, "{extent} {log_scale}");
+            let bytes = encode(&epoch, 0, &SpzOptions { fraction_bits, ..SpzOptions::default() }).unwrap();
+            let back = import::spz::parse(&bytes, &Limits::default()).unwrap().epoch;
+            let tolerance = Tolerance::new(written).position;
+            let (a, b) = (epoch.attributes(), back.attributes());
+            for (a, b) in a.positions.frame(0, 500).iter().zip(b.positions.frame(0, 500)) {
+                assert!((0..3).all(|d| (a[d] - b[d]).abs() <= 1.001 * tolerance), "{a:?} and {b:?}");
+            }
+        }
     }
 
     #[test]

@@ -11,9 +11,9 @@ use super::{
     archive::Archive,
     error::{Format, ImportError},
     points_npz::npy::Array,
-    snapshot::{scene_error, sh0_of_colour},
+    snapshot::{finished, scene_error, sh0_of_colour},
 };
-use crate::scene::{Attributes, Epoch, Scene, Track};
+use crate::scene::{Attributes, Scene, Track};
 
 const FORMAT: Format = Format::DynamicNpz;
 /// A member that only archives of this kind have.
@@ -24,7 +24,8 @@ const FRAME_BYTES: u64 = 12 + 16 + 12;
 /// Reads the archive as a scene of one epoch.
 ///
 /// # Errors
-/// A damaged archive, a missing or misshapen array, values that are not numbers, or more than `limits` allow.
+/// A damaged archive, a missing or misshapen array, values that are not numbers (unless `keep_readable`), or
+/// more than `limits` allow.
 pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Scene, ImportError> {
     let mut archive = Archive::new(bytes, limits, FORMAT)?;
     let means = Array::open(&mut archive, "means3D")?;
@@ -73,8 +74,11 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
         sh_rest: Vec::new(),
         sh_degree: ShDegree::ZERO,
     };
-    let epoch = Epoch::new(frames, attributes).map_err(|e| scene_error(FORMAT, &e))?;
-    Scene::new(vec![epoch], frames_per_second).map_err(|e| scene_error(FORMAT, &e))
+    let mut notes = Vec::new();
+    let epoch = finished(frames, n, attributes, FORMAT, limits, &mut notes)?;
+    let mut scene = Scene::new(vec![epoch], frames_per_second).map_err(|e| scene_error(FORMAT, &e))?;
+    scene.notes = notes;
+    Ok(scene)
 }
 
 fn three(v: &[f64]) -> [f32; 3] {
@@ -125,6 +129,28 @@ pub(super) mod tests {
         assert_eq!((g[0].rotation, g[0].opacity), ([1.0, 0.0, 0.0, 0.0], 0.5));
         assert!((0.5 + 0.282_094_8 * g[1].sh0[2] - 0.75).abs() < 1e-6);
         assert!(scene.epochs()[0].attributes().sh0.is_constant());
+    }
+
+    #[test]
+    fn gaussians_that_are_no_numbers_are_left_out_of_all_frames() {
+        // The first Gaussian is none in the second frame alone.
+        let means = [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, f32::NAN, 0.0, 0.0, 1.0, 2.0, 1.0];
+        let members: [(&str, &str, &[f32]); 5] = [
+            ("means3D", "2, 2, 3", &means),
+            ("unnorm_rotations", "2, 2, 4", &[[2.0, 0.0, 0.0, 0.0]; 4].concat()),
+            ("rgb_colors", "2, 3", &[[0.25; 3], [0.75; 3]].concat()),
+            ("logit_opacities", "2, 1", &[0.0, 1.0]),
+            ("log_scales", "2, 1", &[-3.0, -2.0]),
+        ];
+        let bad = archive(&members, |_, shape| shape.to_owned());
+        assert!(parse(&bad, 30.0, &Limits::default()).unwrap_err().to_string().contains("frame 1"));
+        let keep = Limits { keep_readable: true, ..Limits::default() };
+        let scene = parse(&bad, 30.0, &keep).unwrap();
+        assert_eq!((scene.frames(), scene.max_count()), (2, 1));
+        let left = scene.instant(1).unwrap().gaussians[0];
+        assert_eq!((left.position, left.scale), ([1.0, 2.0, 1.0], [(-2.0f32).exp(); 3]));
+        assert!(left.sh0[0] > 0.0, "{:?}", left.sh0);
+        assert!(scene.notes[0].starts_with("1 Gaussians left out"), "{:?}", scene.notes);
     }
 
     #[test]

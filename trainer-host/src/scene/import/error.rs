@@ -83,6 +83,8 @@ pub enum ErrorKind {
     Unsupported,
     /// Nothing in it.
     Empty,
+    /// The caller asked for what is not in it, such as a clip.
+    NotFound,
 }
 
 /// Why a file was not read.

@@ -19,7 +19,7 @@ use codec_core::ShDegree;
 use super::{
     Limits,
     error::{ErrorKind, Format, ImportError},
-    snapshot::{logit, scene_error, sh0_of_colour},
+    snapshot::{logit, scene_error, screen, sh0_of_colour},
 };
 use crate::scene::{Attributes, Epoch, Scene, Track, Up};
 
@@ -228,11 +228,6 @@ impl Clip<'_> {
 /// Quaternion `i` of a list of xyzw.
 fn wxyz(rotations: &[f32], i: usize) -> [f32; 4] {
     [3, 0, 1, 2].map(|at| rotations[4 * i + at])
-}
-
-/// Linear light, 0 to 1, as a screen takes it.
-fn screen(linear: f32) -> f32 {
-    if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 
 #[cfg(test)]

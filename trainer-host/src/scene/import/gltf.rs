@@ -142,7 +142,7 @@ pub fn parse(
     .map_err(|e| scene_error(FORMAT, &e))?;
     let mut scene =
         Scene::new(vec![epoch], options.frames_per_second).map_err(|e| scene_error(FORMAT, &e))?;
-    scene.notes.push(format!("clip {}; clips in the file: {}", rig.clip_name(), document.clip_list()));
+    scene.notes.push(clips_note(rig.clip_name(), &document));
     scene.notes.push(format!("bounds over all frames: {low:?} to {high:?}, y up"));
     scene.notes.append(&mut surface.notes);
     Ok(scene)
@@ -158,6 +158,17 @@ pub fn clips(
     limits: &Limits,
 ) -> Result<Vec<String>, ImportError> {
     Ok(Document::load(bytes, beside, limits)?.clip_names())
+}
+
+/// For people: the clip called `chosen`, and which there are.
+fn clips_note(chosen: &str, document: &Document) -> String {
+    let names: Vec<Option<&str>> = document.gltf.animations().map(|clip| clip.name()).collect();
+    match names[..] {
+        [] => "no clip: nothing moves".to_owned(),
+        [None] => "1 clip, unnamed".to_owned(),
+        [Some(name)] => format!("1 clip: {name}"),
+        _ => format!("clip {chosen}; clips in the file: {}", document.clip_list()),
+    }
 }
 
 fn bounds(positions: &[[f32; 3]]) -> ([f32; 3], [f32; 3]) {

@@ -1,9 +1,10 @@
 //! Reads glTF and GLB with `KHR_gaussian_splatting`: points whose attributes are those of Gaussians.
 //!
 //! Rotation is xyzw, scale and opacity are linear, harmonics one accessor a coefficient; integers may be
-//! normalised. Nodes turn, move and evenly scale what hangs on them; other transforms are refused. Axes are
-//! kept: y up. Views compressed by meshopt are unfolded. Absent: primitives compressed as SPZ, which are
-//! refused by name.
+//! normalised. Colours are of the screen, or linear where the file says so: then band 0 is encoded, and
+//! higher bands, which cannot be exactly, are kept. Nodes turn, move and evenly scale what hangs on them.
+//! Other transforms, kernels and colour spaces are refused. Axes are kept: y up. Views compressed by meshopt
+//! are unfolded. Absent: primitives compressed as SPZ, which are refused by name.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +17,7 @@ use super::{
     bytes::{array, u32_at},
     error::{Format, ImportError},
     gltf_buffers::{Buffers, COMPRESSIONS},
-    snapshot::{Columns, Snapshot, logit, sh0_of_colour},
+    snapshot::{Columns, SH_C0, Snapshot, logit, screen, sh0_of_colour},
 };
 use crate::scene::{
     Scene,
@@ -27,6 +28,10 @@ use crate::scene::{
 const FORMAT: Format = Format::GltfSplats;
 /// Extensions that a file may need: whole numbers are read as any others, what is compressed is unfolded.
 const EXTENSIONS: [&str; 4] = [EXTENSION, "KHR_mesh_quantization", COMPRESSIONS[0], COMPRESSIONS[1]];
+/// The kernel that is read, and the names of colours that a screen takes and of linear ones.
+const KERNEL: &str = "ellipse";
+const SCREEN: [&str; 2] = ["srgb_rec709_display", "BT.709-sRGB"];
+const LINEAR: [&str; 2] = ["lin_rec709_display", "BT.709-linear"];
 /// Deepest tree of nodes.
 const MAX_DEPTH: usize = 64;
 /// Most primitives, over all nodes.
@@ -141,12 +146,51 @@ pub fn parse(
     };
     let roots = match document.scenes.get(document.scene) {
         Some(scene) => scene.nodes.clone(),
-        None => (0..document.nodes.len()).collect(),
+        None => roots(&document.nodes),
     };
     for node in roots {
         reader.node(node, &Similarity::default(), 0)?;
     }
     reader.snapshot()
+}
+
+/// The nodes that are nobody's child.
+fn roots(nodes: &[Node]) -> Vec<usize> {
+    let mut is_child = vec![false; nodes.len()];
+    for child in nodes.iter().flat_map(|node| &node.children) {
+        if let Some(is_child) = is_child.get_mut(*child) {
+            *is_child = true;
+        }
+    }
+    (0..nodes.len()).filter(|&node| !is_child[node]).collect()
+}
+
+/// Whether the colours of a primitive with the extension's object `object` are linear; what is absent is as
+/// usual.
+fn is_linear(object: &serde_json::Value) -> Result<bool, ImportError> {
+    let named = |key: &str, usual: &'static str| match object.get(key) {
+        None => Ok(usual.to_owned()),
+        Some(value) => {
+            value.as_str().map(str::to_owned).ok_or_else(|| FORMAT.malformed(key, value, "a name"))
+        }
+    };
+    let kernel = named("kernel", KERNEL)?;
+    if kernel != KERNEL {
+        return Err(FORMAT.unsupported("kernel", kernel, KERNEL));
+    }
+    // The second of each is what drafts called it.
+    let space = named("colorSpace", SCREEN[0])?;
+    let is_one_of = |names: [&str; 2]| names.iter().any(|name| name.eq_ignore_ascii_case(&space));
+    match (is_one_of(SCREEN), is_one_of(LINEAR)) {
+        (true, _) => Ok(false),
+        (_, true) => Ok(true),
+        _ => Err(FORMAT.unsupported("colorSpace", space, format_args!("{} or {}", SCREEN[0], LINEAR[0]))),
+    }
+}
+
+/// The band-0 coefficient of a colour of the screen, of that of a linear one.
+fn encoded(linear: f32) -> f32 {
+    sh0_of_colour(screen(0.5 + SH_C0 * linear))
 }
 
 /// The JSON of a GLB, and its binary chunk if there is one; with `keeps` as much of that as is there.
@@ -228,6 +272,7 @@ impl Reader<'_> {
         {
             return Err(FORMAT.unsupported("primitive", name, "Gaussians that are not compressed"));
         }
+        let is_linear = is_linear(&primitive.extensions[EXTENSION])?;
         let own = |name: &str| format!("{EXTENSION}:{name}");
         let (positions, _) = self.attribute(primitive, "POSITION", &["VEC3"])?;
         let mut count = positions.len() / 3;
@@ -246,7 +291,7 @@ impl Reader<'_> {
         let sh_degree = ShDegree::new(degree).unwrap_or(ShDegree::ZERO);
         let mut columns = Columns::with_capacity(count, sh_degree);
         let has_band0 = primitive.attributes.contains_key(&own("SH_DEGREE_0_COEF_0"));
-        let (band0, opacities) = if has_band0 {
+        let (mut band0, opacities) = if has_band0 {
             let opacity = self.attribute(primitive, &own("OPACITY"), &["SCALAR"])?.0;
             (self.attribute(primitive, &own("SH_DEGREE_0_COEF_0"), &["VEC3"])?.0, opacity)
         } else {
@@ -256,6 +301,13 @@ impl Reader<'_> {
                 colours.chunks_exact(width).flat_map(|c| [c[0], c[1], c[2]].map(sh0_of_colour)).collect();
             (band0, colours.chunks_exact(width).map(|c| c[3]).collect())
         };
+        let mut notes = Vec::new();
+        if is_linear {
+            band0.iter_mut().for_each(|value| *value = encoded(*value));
+            let rest =
+                if degree > 0 { "; higher bands are kept as they are, which is approximate" } else { "" };
+            notes.push(format!("colours are linear, and are encoded as a screen takes them{rest}"));
+        }
         let mut bands = Vec::new();
         for degree in 1..=usize::from(degree) {
             for coefficient in 0..2 * degree + 1 {
@@ -265,7 +317,6 @@ impl Reader<'_> {
         }
         let lengths = [(rotations.len(), 4), (scales.len(), 3), (band0.len(), 3), (opacities.len(), 1)];
         let bands_fit = bands.iter().all(|band| band.len() == 3 * count);
-        let mut notes = Vec::new();
         let mut with_bands = count;
         if self.limits.keep_readable {
             let declared = self.declared(primitive);
@@ -385,7 +436,8 @@ impl Reader<'_> {
         let failed = |e: &dyn std::fmt::Display| FORMAT.malformed("nodes", e, "Gaussians that stay finite");
         let (mut scenes, mut notes) = (Vec::new(), self.notes);
         for (part, place) in self.parts {
-            notes.extend(part.notes);
+            // Of several primitives the same is said once.
+            notes.extend(part.notes.into_iter().filter(|note| !notes.contains(note)).collect::<Vec<_>>());
             let part = Scene::new(vec![part.epoch], 1.0).map_err(|e| failed(&e))?;
             scenes.push(edit::transform(&part, &place).map_err(|e| failed(&e))?);
         }

@@ -2,6 +2,9 @@
 
 use super::error::{ErrorKind, Format, ImportError};
 
+/// What errors call the number of Gaussians that a file says it has.
+pub(super) const GAUSSIAN_COUNT: &str = "Gaussian count";
+
 /// What a reader accepts of a file it does not trust.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Limits {
@@ -24,11 +27,11 @@ impl Limits {
     /// `count` as a `usize` if this many Gaussians are accepted.
     pub(super) fn gaussians(&self, format: Format, count: u64) -> Result<usize, ImportError> {
         match usize::try_from(count) {
-            Ok(0) => Err(format.empty("Gaussian count")),
+            Ok(0) => Err(format.empty(GAUSSIAN_COUNT)),
             Ok(n) if n <= self.max_gaussians => Ok(n),
             _ => Err(format.error(
                 ErrorKind::TooLarge,
-                "Gaussian count",
+                GAUSSIAN_COUNT,
                 count,
                 format_args!("up to {}", self.max_gaussians),
             )),

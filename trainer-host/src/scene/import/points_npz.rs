@@ -23,7 +23,7 @@ use super::{
     archive::Archive,
     error::{Format, ImportError},
     nearest::Tree,
-    snapshot::{Columns, logit, scene_error, sh0_of_colour},
+    snapshot::{Columns, keep, left_out, logit, scene_error, sh0_of_colour},
 };
 use crate::scene::Scene;
 
@@ -41,16 +41,25 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
     if gsplat::is_in(&archive) {
         return gsplat::parse(archive, frames_per_second, limits);
     }
-    let positions = positions(&mut archive, limits)?;
+    let mut positions = positions(&mut archive, limits)?;
+    let mut sh0 = colours(&mut archive, positions.len())?;
+    let mut notes = Vec::new();
+    if limits.keep_readable {
+        // Before sizes are taken from them: a place that is no number is near to nothing.
+        let pairs = positions.iter().zip(&sh0);
+        let readable: Vec<bool> = pairs.map(|(p, c)| p.iter().chain(c).all(|v| v.is_finite())).collect();
+        notes.extend(left_out(readable.iter().filter(|r| !**r).count()));
+        keep(&mut positions, &readable, 1);
+        keep(&mut sh0, &readable, 1);
+    }
     let count = positions.len();
     let mut columns = Columns::with_capacity(0, ShDegree::ZERO);
-    columns.sh0 = colours(&mut archive, count)?;
+    columns.sh0 = sh0;
     columns.log_scales.extend(sizes(&positions).into_iter().map(|s| [s.ln(); 3]));
     columns.positions = positions;
     columns.rotations.resize(count, [1.0, 0.0, 0.0, 0.0]);
     columns.opacity_logits.resize(count, logit(0.9));
 
-    let mut notes = Vec::new();
     let cameras = if ["viewmats", "Ks", "width", "height"].iter().all(|m| archive.has(&format!("{m}.npy"))) {
         cameras(&mut archive)?
     } else {
@@ -65,14 +74,15 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
     Ok(scene)
 }
 
-/// The points, all of them finite.
+/// The points, all of them finite unless `keep_readable`.
 fn positions(archive: &mut Archive<'_>, limits: &Limits) -> Result<Vec<[f32; 3]>, ImportError> {
     let means = Array::open(archive, "means3d")?;
     let &[n, 3] = means.shape() else { return Err(means.misshapen("N x 3")) };
     limits.gaussians(FORMAT, n as u64)?;
     let mut points: Vec<[f32; 3]> = Vec::new();
     means.rows(3, |v| points.push([v[0] as f32, v[1] as f32, v[2] as f32]))?;
-    if let Some(i) = points.iter().position(|p| p.iter().any(|v| !v.is_finite())) {
+    let bad = points.iter().position(|p| p.iter().any(|v| !v.is_finite()));
+    if let Some(i) = bad.filter(|_| !limits.keep_readable) {
         return Err(FORMAT.malformed(format!("means3d[{i}]"), "a value that is not finite", "finite values"));
     }
     Ok(points)
@@ -206,6 +216,24 @@ pub(super) mod tests {
         assert!((0.5 + 0.282_094_8 * g[0].sh0[0] - 1.0).abs() < 1e-6);
         assert_eq!(scene.cameras.len(), 1);
         assert_eq!(scene.cameras[0].translation(), [0.0, 0.0, 5.0]);
+    }
+
+    #[test]
+    fn points_that_are_no_numbers_are_left_out_before_sizes_are_taken() {
+        let mut files = files();
+        let points = [0., 0., 0., 1., 0., 0., f32::NAN, 1., 0., 0., 0., 1.];
+        files[0].1 = npy("<f4", "(4, 3)", &floats(&points));
+        let read = |keep_readable| {
+            let limits = Limits { keep_readable, ..Limits::default() };
+            parse(&zipped(&files), 30.0, &limits)
+        };
+        assert!(read(false).unwrap_err().to_string().contains("means3d[2]"));
+        let scene = read(true).unwrap();
+        let g = scene.instant(0).unwrap().gaussians;
+        assert_eq!((g.len(), g[2].position), (3, [0.0, 0.0, 1.0]));
+        assert!((g[0].scale[0] - 0.5).abs() < 1e-6, "two neighbours at distance 1: {:?}", g[0].scale);
+        assert!((0.5 + 0.282_094_8 * g[2].sh0[0] - 40.0 / 255.0).abs() < 1e-6);
+        assert!(scene.notes[0].starts_with("1 Gaussians left out"), "{:?}", scene.notes);
     }
 
     #[test]

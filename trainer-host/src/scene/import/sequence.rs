@@ -155,8 +155,11 @@ pub(super) fn assemble(
     frames_per_second: f64,
 ) -> Result<Scene, ImportError> {
     let mut notes = gathered(&frames);
-    let footprint = frames.first().and_then(|(_, frame)| frame.footprint).unwrap_or_default();
-    if frames.iter().any(|(_, frame)| frame.footprint.unwrap_or_default() != footprint) {
+    // What shows nothing says nothing of how it is drawn.
+    let mut footprints =
+        frames.iter().filter(|(_, f)| f.epoch.count() > 0).map(|(_, f)| f.footprint.unwrap_or_default());
+    let footprint = footprints.next().unwrap_or_default();
+    if footprints.any(|other| other != footprint) {
         notes.push(format!(
             "frames say different footprints; all are drawn as the first, {}",
             footprint.name()
@@ -296,6 +299,27 @@ mod tests {
         let error = import(folder.path(), &stored).unwrap_err();
         assert!(error.to_string().contains("f11.ply"), "{error}");
         assert!(error.to_string().contains("found 2"), "{error}");
+    }
+
+    #[test]
+    fn a_frame_may_show_nothing_but_not_all_may() {
+        let folder = tempfile::tempdir().unwrap();
+        let read = |counts: [usize; 3], options: &ImportOptions| {
+            for (i, n) in counts.into_iter().enumerate() {
+                let bytes = ply::tests::sample("binary_little_endian", 0, n);
+                std::fs::write(folder.path().join(format!("f{i}.ply")), bytes).unwrap();
+            }
+            import(folder.path(), options)
+        };
+        let scene = read([3, 0, 2], &ImportOptions::default()).unwrap();
+        assert_eq!(scene.epochs().iter().map(Epoch::count).collect::<Vec<_>>(), [3, 0, 2]);
+        assert!(scene.instant(1).unwrap().gaussians.is_empty());
+        let stored = ImportOptions { identity: Identity::Stored, ..ImportOptions::default() };
+        assert!(read([3, 0, 2], &stored).unwrap_err().to_string().contains("f1.ply"));
+        let error = read([0; 3], &ImportOptions::default()).unwrap_err();
+        assert!(error.to_string().contains("Gaussians in all frames: found nothing"), "{error}");
+        // A file alone is nothing without Gaussians.
+        assert!(import(&folder.path().join("f0.ply"), &ImportOptions::default()).is_err());
     }
 
     #[test]

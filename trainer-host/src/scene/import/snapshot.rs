@@ -8,7 +8,8 @@ use codec_core::{Footprint, ShDegree};
 
 use super::{
     Limits,
-    error::{Format, ImportError},
+    error::{ErrorKind, Format, ImportError},
+    limits::GAUSSIAN_COUNT,
 };
 pub(crate) use crate::scene::activation::{SH_C0, logit};
 use crate::scene::{Attributes, Epoch, SceneError, Track};
@@ -24,9 +25,27 @@ pub struct Snapshot {
     pub notes: Vec<String>,
 }
 
+impl Snapshot {
+    /// That of a file which was refused since it says that it has no Gaussians.
+    ///
+    /// # Errors
+    /// `error`, if that is another.
+    pub(super) fn of_nothing(error: ImportError) -> Result<Self, ImportError> {
+        if error.kind != ErrorKind::Empty || &*error.field != GAUSSIAN_COUNT {
+            return Err(error);
+        }
+        Ok(Self { epoch: Epoch::empty(), footprint: None, notes: Vec::new() })
+    }
+}
+
 /// Band-0 coefficient of a display colour in 0..=1.
 pub(crate) fn sh0_of_colour(colour: f32) -> f32 {
     (colour - 0.5) / SH_C0
+}
+
+/// Linear light as a screen takes it, 0 to 1 for what it shows.
+pub(super) fn screen(linear: f32) -> f32 {
+    if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 
 /// A unit quaternion from its three smaller components, `largest` naming the missing one by its
@@ -69,64 +88,92 @@ impl Columns {
     /// The finished snapshot. Where `keep_readable` is set, Gaussians with a value that is not a
     /// number are left out and counted in a note; otherwise one of them is an error.
     pub fn finish(
-        mut self,
+        self,
         format: Format,
         limits: &Limits,
         mut notes: Vec<String>,
     ) -> Result<Snapshot, ImportError> {
-        if limits.keep_readable {
-            let dropped = self.drop_unreadable();
-            if dropped > 0 {
-                notes.push(format!("{dropped} Gaussians left out: a value of theirs is not finite"));
-            }
-        }
-        if self.positions.is_empty() {
-            return Err(format.empty("Gaussians"));
-        }
-        let epoch = Epoch::new(
-            1,
-            Attributes {
-                positions: Track::Constant(self.positions),
-                rotations: Track::Constant(self.rotations),
-                log_scales: Track::Constant(self.log_scales),
-                opacity_logits: Track::Constant(self.opacity_logits),
-                sh0: Track::Constant(self.sh0),
-                sh_rest: self.sh_rest,
-                sh_degree: self.sh_degree,
-            },
-        )
-        .map_err(|error| scene_error(format, &error))?;
+        let count = self.positions.len();
+        let attributes = Attributes {
+            positions: Track::Constant(self.positions),
+            rotations: Track::Constant(self.rotations),
+            log_scales: Track::Constant(self.log_scales),
+            opacity_logits: Track::Constant(self.opacity_logits),
+            sh0: Track::Constant(self.sh0),
+            sh_rest: self.sh_rest,
+            sh_degree: self.sh_degree,
+        };
+        let epoch = finished(1, count, attributes, format, limits, &mut notes)?;
         Ok(Snapshot { epoch, footprint: None, notes })
-    }
-
-    fn drop_unreadable(&mut self) -> usize {
-        let rest = self.sh_degree.rest_len();
-        let readable: Vec<bool> = (0..self.positions.len())
-            .map(|i| {
-                self.positions[i].iter().chain(&self.rotations[i]).chain(&self.sh0[i]).all(|v| v.is_finite())
-                    && self.log_scales[i].iter().all(|v| !v.is_nan())
-                    && !self.opacity_logits[i].is_nan()
-                    && self.sh_rest[i * rest..(i + 1) * rest].iter().all(|v| v.is_finite())
-            })
-            .collect();
-        let dropped = readable.iter().filter(|r| !**r).count();
-        if dropped > 0 {
-            keep(&mut self.positions, &readable, 1);
-            keep(&mut self.rotations, &readable, 1);
-            keep(&mut self.log_scales, &readable, 1);
-            keep(&mut self.opacity_logits, &readable, 1);
-            keep(&mut self.sh0, &readable, 1);
-            keep(&mut self.sh_rest, &readable, rest);
-        }
-        dropped
     }
 }
 
-fn keep<T>(values: &mut Vec<T>, readable: &[bool], each: usize) {
+/// The epoch of `count` Gaussians over `frames` frames, whose arrays have these lengths. Where
+/// `keep_readable` is set, Gaussians with a value that is not a number at any frame are left out and counted
+/// in a note; otherwise one of them is an error.
+pub(super) fn finished(
+    frames: usize,
+    count: usize,
+    mut attributes: Attributes,
+    format: Format,
+    limits: &Limits,
+    notes: &mut Vec<String>,
+) -> Result<Epoch, ImportError> {
+    let mut left = count;
+    if limits.keep_readable && count > 0 {
+        left -= drop_unreadable(&mut attributes, count);
+        notes.extend(left_out(count - left));
+    }
+    if left == 0 {
+        return Err(format.empty("Gaussians"));
+    }
+    Epoch::new(frames, attributes).map_err(|error| scene_error(format, &error))
+}
+
+/// What is said where Gaussians were left out.
+pub(super) fn left_out(dropped: usize) -> Option<String> {
+    (dropped > 0).then(|| format!("{dropped} Gaussians left out: a value of theirs is not finite"))
+}
+
+/// Leaves out those of `count` Gaussians of which a value is not finite, and says how many these are.
+/// Infinite scales and opacity logits are readable: an epoch brings them into range.
+fn drop_unreadable(a: &mut Attributes, count: usize) -> usize {
+    fn mark<T>(track: &Track<T>, readable: &mut [bool], is_readable: impl Fn(&T) -> bool) {
+        let (Track::Constant(values) | Track::PerFrame(values)) = track;
+        for (i, value) in values.iter().enumerate() {
+            readable[i % readable.len()] &= is_readable(value);
+        }
+    }
+    fn keep_in<T>(track: &mut Track<T>, readable: &[bool]) {
+        let (Track::Constant(values) | Track::PerFrame(values)) = track;
+        keep(values, readable, 1);
+    }
+    let rest = a.sh_degree.rest_len();
+    let mut readable: Vec<bool> =
+        (0..count).map(|i| a.sh_rest[i * rest..(i + 1) * rest].iter().all(|v| v.is_finite())).collect();
+    mark(&a.positions, &mut readable, |v| v.iter().all(|v| v.is_finite()));
+    mark(&a.rotations, &mut readable, |v| v.iter().all(|v| v.is_finite()));
+    mark(&a.log_scales, &mut readable, |v| v.iter().all(|v| !v.is_nan()));
+    mark(&a.opacity_logits, &mut readable, |v| !v.is_nan());
+    mark(&a.sh0, &mut readable, |v| v.iter().all(|v| v.is_finite()));
+    let dropped = readable.iter().filter(|r| !**r).count();
+    if dropped > 0 {
+        keep_in(&mut a.positions, &readable);
+        keep_in(&mut a.rotations, &readable);
+        keep_in(&mut a.log_scales, &readable);
+        keep_in(&mut a.opacity_logits, &readable);
+        keep_in(&mut a.sh0, &readable);
+        keep(&mut a.sh_rest, &readable, rest);
+    }
+    dropped
+}
+
+/// Keeps the values of readable Gaussians, `each` in a row, in every frame of `values`.
+pub(super) fn keep<T>(values: &mut Vec<T>, readable: &[bool], each: usize) {
     let mut index = 0;
     values.retain(|_| {
         index += 1;
-        readable[(index - 1) / each]
+        readable[(index - 1) / each % readable.len()]
     });
 }
 

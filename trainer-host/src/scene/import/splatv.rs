@@ -18,9 +18,9 @@ use super::{
     Limits,
     bytes::{array, f32_at, u16_at, u32_at},
     error::{Format, ImportError},
-    snapshot::{logit, scene_error, sh0_of_colour},
+    snapshot::{finished, logit, scene_error, sh0_of_colour},
 };
-use crate::scene::{Attributes, Epoch, Scene, Track};
+use crate::scene::{Attributes, Scene, Track};
 
 const FORMAT: Format = Format::Splatv;
 /// First four bytes of a file.
@@ -77,7 +77,7 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
     // Textures are padded with splats that never show.
     let splats: Vec<MovingSplat> = records.map(MovingSplat::read).filter(|splat| splat.alpha > 0.0).collect();
     limits.gaussians(FORMAT, splats.len() as u64)?;
-    let epoch = epoch(&splats).map_err(|e| scene_error(FORMAT, &e))?;
+    let epoch = finished(FRAMES, splats.len(), attributes(&splats), FORMAT, limits, &mut notes)?;
     let mut scene = Scene::new(vec![epoch], frames_per_second).map_err(|e| scene_error(FORMAT, &e))?;
     notes.push(format!("the file does not tell how long the clip is: it is read as {FRAMES} frames"));
     scene.notes = notes;
@@ -138,23 +138,20 @@ impl MovingSplat {
     }
 }
 
-fn epoch(splats: &[MovingSplat]) -> Result<Epoch, crate::SceneError> {
+fn attributes(splats: &[MovingSplat]) -> Attributes {
     fn frames<T>(splats: &[MovingSplat], of: impl Fn(&MovingSplat, usize) -> T) -> Track<T> {
         let frame = |t: usize| splats.iter().map(move |splat| (splat, t));
         Track::PerFrame((0..FRAMES).flat_map(frame).map(|(splat, t)| of(splat, t)).collect())
     }
-    Epoch::new(
-        FRAMES,
-        Attributes {
-            positions: frames(splats, MovingSplat::position),
-            rotations: frames(splats, MovingSplat::rotation),
-            log_scales: Track::Constant(splats.iter().map(|s| s.scale.map(|v| v.max(0.0).ln())).collect()),
-            opacity_logits: frames(splats, |splat, t| logit(splat.opacity(t))),
-            sh0: Track::Constant(splats.iter().map(|s| s.colour.map(sh0_of_colour)).collect()),
-            sh_rest: Vec::new(),
-            sh_degree: ShDegree::ZERO,
-        },
-    )
+    Attributes {
+        positions: frames(splats, MovingSplat::position),
+        rotations: frames(splats, MovingSplat::rotation),
+        log_scales: Track::Constant(splats.iter().map(|s| s.scale.map(|v| v.max(0.0).ln())).collect()),
+        opacity_logits: frames(splats, |splat, t| logit(splat.opacity(t))),
+        sh0: Track::Constant(splats.iter().map(|s| s.colour.map(sh0_of_colour)).collect()),
+        sh_rest: Vec::new(),
+        sh_degree: ShDegree::ZERO,
+    }
 }
 
 #[cfg(test)]
@@ -199,6 +196,19 @@ pub(super) mod tests {
         assert!((first.gaussians[0].opacity - 0.8).abs() < 1e-5);
         assert!((last.gaussians[0].opacity - 0.8 * (-4.0f32).exp()).abs() < 1e-4);
         assert!((first.gaussians[0].scale[1] - 0.5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn splats_that_are_no_numbers_are_left_out() {
+        let mut bad = sample(3);
+        let second = bad.len() - 2 * RECORD;
+        bad[second..second + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+        assert!(parse(&bad, 30.0, &Limits::default()).unwrap_err().to_string().contains("Gaussian 1"));
+        let keep = Limits { keep_readable: true, ..Limits::default() };
+        let scene = parse(&bad, 30.0, &keep).unwrap();
+        assert_eq!((scene.frames(), scene.max_count()), (FRAMES, 2));
+        assert_eq!(scene.instant(FRAMES - 1).unwrap().gaussians[1].position, [9.0, 0.0, 2.0]);
+        assert!(scene.notes[0].starts_with("1 Gaussians left out"), "{:?}", scene.notes);
     }
 
     #[test]

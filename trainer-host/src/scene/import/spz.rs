@@ -32,6 +32,9 @@ pub(crate) const MAGIC: [u8; 4] = *b"NGSP";
 const DEFLATE_RATIO: u64 = 1032;
 /// Display colour of one unit of `sh0` in the colour plane.
 pub(crate) const COLOUR_SCALE: f32 = 0.15;
+/// Natural log of the smallest scale, and of the ratio of one scale to the next larger.
+pub(crate) const LEAST_LOG_SCALE: f32 = -10.0;
+pub(crate) const LOG_SCALE_STEP: f32 = 1.0 / 16.0;
 
 const AXES: &str = "axes are as stored, right-up-back by the format's rule: half a turn about x from PLY's";
 
@@ -282,7 +285,7 @@ fn read(header: &Header, planes: &Planes, count: usize) -> Columns {
     c.sh0.extend(
         planes.colours.chunks_exact(3).take(count).map(|v| [colour(v[0]), colour(v[1]), colour(v[2])]),
     );
-    let scale = |u: u8| f32::from(u) / 16.0 - 10.0;
+    let scale = |u: u8| f32::from(u) * LOG_SCALE_STEP + LEAST_LOG_SCALE;
     c.log_scales
         .extend(planes.scales.chunks_exact(3).take(count).map(|v| [scale(v[0]), scale(v[1]), scale(v[2])]));
     if header.version >= 3 {

@@ -47,13 +47,26 @@ pub struct Asset<'a> {
     pub harmonics: Option<&'a [u8]>,
 }
 
+impl Asset<'_> {
+    /// How many of the first `count` Gaussians are in all planes but that of harmonics, and how many of those
+    /// in that one too.
+    fn whole(&self, count: usize) -> (usize, usize) {
+        let chunks = self.chunks.len() / CHUNK_BYTES * CHUNK;
+        let count = count.min(chunks).min(self.positions.len() / 4).min(self.others.len() / 8);
+        let has_texel = |index: &usize| (texel_of(*index) + 1) * 4 <= self.colours.len();
+        let count = (0..count).take_while(has_texel).count();
+        (count, self.harmonics.map_or(count, |plane| count.min(plane.len() / 32)))
+    }
+}
+
 /// Reads one frame.
 ///
 /// # Errors
-/// A description of another version or layout, planes shorter than the count needs, or more than
-/// `limits` allow.
+/// A description of another version or layout, planes shorter than the count needs (with `keep_readable`:
+/// than one Gaussian needs), or more than `limits` allow.
 pub fn parse(asset: &Asset<'_>, limits: &Limits) -> Result<Snapshot, ImportError> {
-    let count = described_count(asset.description, limits)?;
+    let described = described_count(asset.description, limits)?;
+    let count = described;
     let chunks = count.div_ceil(CHUNK);
     let rows = chunks.div_ceil(TEXTURE_WIDTH / TILE) * TILE;
     for (name, plane, needed) in [
@@ -64,9 +77,17 @@ pub fn parse(asset: &Asset<'_>, limits: &Limits) -> Result<Snapshot, ImportError
         ("_shs", asset.harmonics.unwrap_or(&[]), asset.harmonics.map_or(0, |_| count * 32)),
     ] {
         limits.bytes(FORMAT, name, plane.len() as u64)?;
-        if plane.len() < needed {
+        if plane.len() < needed && !limits.keep_readable {
             return Err(FORMAT.truncated(name, plane.len() as u64, needed as u64));
         }
+    }
+    let mut notes = Vec::new();
+    let (count, with_harmonics) = asset.whole(count);
+    if count < described {
+        notes.push(format!("of {described} Gaussians the first {count} are whole; the rest is left out"));
+    }
+    if with_harmonics < count {
+        notes.push(format!("{} Gaussians lack harmonics, which are left out", count - with_harmonics));
     }
 
     let degree = if asset.harmonics.is_some() { ShDegree::MAX } else { ShDegree::ZERO };
@@ -85,13 +106,17 @@ pub fn parse(asset: &Asset<'_>, limits: &Limits) -> Result<Snapshot, ImportError
         columns.opacity_logits.push(logit(opacity(rgba[3])));
         if let Some(plane) = asset.harmonics {
             for coefficient in 0..degree.rest_len() / 3 {
+                if index >= with_harmonics {
+                    columns.sh_rest.extend([0.0; 3]);
+                    continue;
+                }
                 let packed = u32::from(u16_at(plane, index * 32 + coefficient * 2).unwrap_or(0));
                 let rgb = [unorm(packed, 0, 5), unorm(packed, 5, 6), unorm(packed, 11, 5)];
                 columns.sh_rest.extend([0, 1, 2].map(|i| chunk.harmonics[i].at(rgb[i])));
             }
         }
     }
-    columns.finish(FORMAT, limits, Vec::new())
+    columns.finish(FORMAT, limits, notes)
 }
 
 /// How many Gaussians a description promises, if it is of the version and layout read here.
@@ -255,6 +280,35 @@ pub(super) mod tests {
         assert!(a.rotations.frame(0, 300)[0][0] > 0.7);
         assert_eq!(a.sh_rest.len(), 300 * 45);
         assert!(a.sh_rest.iter().all(|&v| v == 1.0));
+    }
+
+    #[test]
+    fn what_is_whole_is_read() {
+        let keep = Limits { keep_readable: true, ..Limits::default() };
+        let whole = parse(&sample(300).asset(), &keep).unwrap();
+        assert!(whole.notes.is_empty());
+        // Of colours a whole row of texels goes, which the second Gaussian of its tile is the first to need.
+        for (plane, cut, count, bands) in [
+            (0, 1, 256, 256),
+            (1, 4 * 10 + 1, 289, 289),
+            (2, 8, 299, 299),
+            (3, 4 * 15 * 2048, 2, 2),
+            (4, 33, 300, 298),
+        ] {
+            let mut s = sample(300);
+            let left = s.planes[plane].len() - cut;
+            s.planes[plane].truncate(left);
+            assert_eq!(parse(&s.asset(), &Limits::default()).unwrap_err().kind, ErrorKind::Truncated);
+            let part = parse(&s.asset(), &keep).unwrap();
+            let (a, b) = (part.epoch.attributes(), whole.epoch.attributes());
+            assert_eq!((part.epoch.count(), part.notes.len()), (count, 1), "plane {plane}");
+            assert_eq!(a.positions.frame(0, count), &b.positions.frame(0, 300)[..count]);
+            assert_eq!(a.sh_rest[..bands * 45], b.sh_rest[..bands * 45]);
+            assert!(a.sh_rest[bands * 45..].iter().all(|&v| v == 0.0), "plane {plane}");
+        }
+        let mut s = sample(300);
+        s.planes[2].clear();
+        assert_eq!(parse(&s.asset(), &keep).unwrap_err().kind, ErrorKind::Empty);
     }
 
     #[test]

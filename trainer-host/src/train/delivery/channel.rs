@@ -18,7 +18,7 @@ pub enum LossModel {
     /// Losses come in bursts (Gilbert–Elliott with a good state that loses nothing and a bad one that loses
     /// all).
     Burst {
-        /// Share that is lost in the long run, 0..1.
+        /// Share that is lost in the long run, 0 to length / (1 + length).
         share: f64,
         /// Mean length of a burst, at least 1.
         length: f64,
@@ -26,6 +26,11 @@ pub enum LossModel {
 }
 
 impl LossModel {
+    /// The largest share that bursts of a mean `length` can take: one arrives between two bursts at least.
+    pub(super) fn most_in_bursts(length: f64) -> f64 {
+        length / (1.0 + length)
+    }
+
     /// For each of `count` in the order of sending, whether it is lost.
     pub(super) fn lost(&self, count: usize, rng: &mut Pcg64) -> Vec<bool> {
         match *self {
@@ -104,6 +109,9 @@ mod tests {
         let burst = LossModel::Burst { share: 0.1, length: 8.0 }.lost(count, &mut rng(1));
         assert!((share(&burst) - 0.1).abs() < 0.01, "{}", share(&burst));
         assert!((length(&burst) - 8.0).abs() < 0.4, "{}", length(&burst));
+        let most = LossModel::most_in_bursts(4.0);
+        let burst = LossModel::Burst { share: most, length: 4.0 }.lost(count, &mut rng(1));
+        assert!((share(&burst) - most).abs() < 0.01 && (length(&burst) - 4.0).abs() < 0.2);
         assert!(LossModel::None.lost(9, &mut rng(1)).iter().all(|l| !l));
     }
 

@@ -109,7 +109,7 @@ pub struct ChannelRanges {
     pub deadline_s: [f64; 2],
     /// Probability of an independent loss.
     pub iid: [f64; 2],
-    /// Share that bursts take.
+    /// Share that bursts take; at most L / (1 + L), where L is the lowest of `burst_length`.
     pub burst_share: [f64; 2],
     /// Mean length of a burst, packets or groups.
     pub burst_length: [f64; 2],
@@ -301,8 +301,8 @@ impl DeliveryOptions {
     /// # Errors
     /// The first field out of range.
     pub(super) fn check(&self) -> Result<(), DeliveryError> {
-        let refuse = |field, found: &dyn std::fmt::Display, allowed| {
-            Err(DeliveryError::Setting { field, found: found.to_string(), allowed })
+        let refuse = |field, found: &dyn std::fmt::Display, allowed: &str| {
+            Err(DeliveryError::Setting { field, found: found.to_string(), allowed: allowed.to_owned() })
         };
         let Validation { every, states, candidates } = self.validation;
         for (field, found, range, allowed) in [
@@ -355,6 +355,12 @@ impl DeliveryOptions {
                 return refuse(field, &format!("[{low}, {high}]"), allowed);
             }
         }
+        let ([low, high], [shortest, _]) = (c.burst_share, c.burst_length);
+        let most = LossModel::most_in_bursts(shortest);
+        if high > most {
+            let allowed = format!("a highest of {most} at most, with channel.burst_length from {shortest},");
+            return refuse("channel.burst_share", &format!("[{low}, {high}]"), &allowed);
+        }
         Ok(())
     }
 }
@@ -397,12 +403,20 @@ mod tests {
             (r#"{"warm_up": 1.5}"#, "warm_up is 1.5; 0 to 1"),
             (r#"{"weights": {"cvar": -1}}"#, "weights.cvar is -1; 0 to 1000"),
             (r#"{"channel": {"iid": [0.5, 0.1]}}"#, "channel.iid is [0.5, 0.1]"),
+            (
+                r#"{"channel": {"burst_share": [0.1, 0.8]}}"#,
+                "channel.burst_share is [0.1, 0.8]; a highest of 0.75 at most, with channel.burst_length \
+                 from 3, is allowed",
+            ),
             (r#"{"variant": "all"}"#, "variant"),
         ] {
             std::fs::write(&path, text).unwrap();
             let error = DeliveryOptions::read(path.to_str().unwrap()).unwrap_err().to_string();
             assert!(error.contains(named), "{error}");
         }
+        let most = r#"{"channel": {"burst_share": [0.1, 0.5], "burst_length": [1.0, 12.0]}}"#;
+        std::fs::write(&path, most).unwrap();
+        assert!(DeliveryOptions::read(path.to_str().unwrap()).is_ok());
         assert!(DeliveryOptions::read("no-such-name").unwrap_err().to_string().contains("no-such-name"));
     }
 

@@ -17,7 +17,7 @@ pub enum DeliveryError {
         /// What it is.
         found: String,
         /// What it may be.
-        allowed: &'static str,
+        allowed: String,
     },
     /// A file that cannot be read or written.
     #[error("{path}: {error}", path = path.display())]

@@ -110,16 +110,18 @@ pub fn resume(
     };
     let first_worlds = run.worlds_hash(0..options.updates.min(10));
     let registration = Preregistration::of(options, &validation_masks, first_worlds);
-    if let Some(path) = &options.registration {
-        registration.write(path)?;
-    }
-
     let worlds = hex(run.worlds_hash(0..options.updates));
     let made_from = Origin::of(&registration, &coded.encoded.stream, references, &worlds);
     let coding = Coding::new(scene, &coded, options);
     let mut at = match begun {
         Some(begun) => begun.checked(&made_from, &coded, &parameters, options.updates)?,
-        None => Tuning::begun(made_from, parameters.clone(), Coding::steps(scene, &coded, options)?),
+        None => {
+            // What goes on keeps what was fixed before its first update.
+            if let Some(path) = &options.registration {
+                registration.write(path)?;
+            }
+            Tuning::begun(made_from, parameters.clone(), Coding::steps(scene, &coded, options)?)
+        }
     };
     if let Some(encoded) = &at.encoded {
         coded = coding.with_steps(&at.steps, encoded)?;

@@ -34,7 +34,7 @@ impl Masks {
     pub(super) fn check(&self, blocks: usize) -> Result<(), DeliveryError> {
         let Some(state) = self.states.iter().find(|state| state.len() != blocks) else { return Ok(()) };
         let (field, found) = ("masks", format!("a state of {} blocks", state.len()));
-        Err(DeliveryError::Setting { field, found, allowed: "states of the stream's blocks" })
+        Err(DeliveryError::Setting { field, found, allowed: "states of the stream's blocks".to_owned() })
     }
 
     /// `count` states of `stream` after `loss` by packets or by groups, from `seed`.

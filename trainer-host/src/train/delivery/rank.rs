@@ -2,16 +2,20 @@
 
 use std::ops::ControlFlow;
 
+use codec_core::internals::digest::Digest;
+
 use super::{
     config::DeliveryOptions,
     error::DeliveryError,
     evaluate::{Evaluation, evaluate},
     fine_tune::{Update, fine_tune},
     masks::Masks,
+    record::hex,
+    tuning::references_hash,
     view::Reference,
     {LossModel, Validation},
 };
-use crate::scene::Scene;
+use crate::scene::{Scene, Track};
 
 /// What one rank came to with one seed.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -48,7 +52,7 @@ const RULE: &str = "the highest mean 0.10 quantile of PSNR over validation state
 const EQUAL_DB: f64 = 0.02;
 
 /// Fine-tunes `scene` under `options` at one rank with one seed, and measures it on `validation`: bursts of
-/// 5 % loss drawn on that rank's own stream with the seed of the states. `None` where `progress` ends it.
+/// 5 % loss drawn on that rank's own stream with the seed of the training. `None` where `progress` ends it.
 ///
 /// # Errors
 /// As [`fine_tune`].
@@ -79,6 +83,29 @@ pub fn measure_rank(
         worst_tenth_db: found.worst_tenth_db(),
         wire_bytes: found.wire_bytes,
     }))
+}
+
+/// Hashes of `scene` and of `references`, on which results depend besides the options: FNV-1a, 64 bits, as 16
+/// hexadecimal digits each.
+pub fn input_hashes(scene: &Scene, references: &[Reference]) -> [String; 2] {
+    fn with<T: Copy, const N: usize>(digest: Digest, track: &Track<T>, of: impl Fn(T) -> [f32; N]) -> Digest {
+        let (Track::Constant(all) | Track::PerFrame(all)) = track;
+        all.iter().fold(digest, |digest, &value| digest.values(&of(value)))
+    }
+    let mut digest = Digest::new().bytes(&scene.frames_per_second().to_le_bytes());
+    for epoch in scene.epochs() {
+        let a = epoch.attributes();
+        for count in [epoch.frames(), epoch.count()] {
+            digest = digest.bytes(&(count as u64).to_le_bytes());
+        }
+        digest = with(digest, &a.positions, |v| v);
+        digest = with(digest, &a.rotations, |v| v);
+        digest = with(digest, &a.log_scales, |v| v);
+        digest = with(digest, &a.opacity_logits, |v| [v]);
+        digest = with(digest, &a.sh0, |v| v);
+        digest = digest.values(&a.sh_rest);
+    }
+    [hex(digest.get()), references_hash(references)]
 }
 
 /// The rank with the highest mean 0.10 quantile over seeds; of ranks within 0.02 dB of it the one with the

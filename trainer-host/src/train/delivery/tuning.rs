@@ -69,7 +69,7 @@ impl Origin {
         Self {
             config: registration.config_hash.clone(),
             scene: hex(scene.get()),
-            references: hex(references.iter().fold(Digest::new(), with_reference).get()),
+            references: references_hash(references),
             worlds: worlds.to_owned(),
         }
     }
@@ -88,6 +88,11 @@ impl Origin {
             None => Ok(()),
         }
     }
+}
+
+/// Hash of pictures, their cameras and frames.
+pub(super) fn references_hash(references: &[Reference]) -> String {
+    hex(references.iter().fold(Digest::new(), with_reference).get())
 }
 
 fn with_reference(digest: Digest, reference: &Reference) -> Digest {

@@ -59,6 +59,12 @@ impl Trainer<'_> {
         self.state.step
     }
 
+    /// What the last step was taken at, 0 to 1; after a rollback, what the next step was taken at from the
+    /// state that the training fell back to.
+    pub fn progress(&self) -> f64 {
+        self.state.progress
+    }
+
     /// How many times smaller than the photographs the largest pictures of the training are.
     pub fn reduced(&self) -> u32 {
         self.pyramid.smallest_divisor()

@@ -2,8 +2,9 @@
 
 use core::hint::select_unpredictable;
 
-use super::{LANES, LOW, LOW_BITS, Lookup, Parts, Raw, TAIL_START, turned};
+use super::{LANES, LOW, Lookup, Parts, Raw, TAIL_START, turned};
 use crate::{
+    cursor::in_range,
     error::{Error, Result},
     rans::table::ESCAPE,
 };
@@ -304,9 +305,9 @@ impl<'a> Decoder<'a> {
             return Err(Error::illegal("body.values", 0, left, (0, 0)));
         }
         for state in self.state {
-            if !state.is_power_of_two() || !(TAIL_START.ilog2()..=LOW_BITS).contains(&state.ilog2()) {
-                return Err(Error::illegal("body.state", 0, state.into(), (TAIL_START.into(), LOW.into())));
-            }
+            // In place of what is no power of two the one below it is allowed.
+            let power = (1 << state.checked_ilog2().unwrap_or(0)).clamp(TAIL_START, LOW);
+            in_range("body.state", 0, state, power, power)?;
         }
         if self.words != self.escapes {
             let left = (self.escapes - self.words) as u64;

@@ -209,8 +209,10 @@ fn check_table_sets(sets: &[[u8; TableSet::BYTES]], head: &Head, start: usize) -
         set.check(place)?;
         let unknown = |&(table, _): &(u8, u8)| u16::from(table) >= head.tables;
         if let Some((table, _)) = set.choices().find(unknown) {
-            let last = u64::from(head.tables).saturating_sub(1);
-            return Err(Error::illegal("table_set.tables", place, table.into(), (0, last)));
+            let Some(last) = head.tables.checked_sub(1) else {
+                return Err(Error::illegal("table_set.count", place, set.choices().count() as u64, (0, 0)));
+            };
+            return Err(Error::illegal("table_set.tables", place, table.into(), (0, last.into())));
         }
     }
     Ok(())
@@ -280,10 +282,12 @@ pub(super) fn check_head(head: &Head) -> Result<(ShDegree, NonZero<u32>, Footpri
     in32("manifest.quants", 28, head.quants.into(), 1, limits::MAX_QUANT_PROFILES as u32)?;
     in32("manifest.tables", 30, head.tables.into(), 0, limits::MAX_TABLES as u32)?;
     in32("manifest.proxies", 34, head.proxies.into(), 0, u32::from(head.profile == Profile::Dgs1 as u8))?;
-    let most = (Up::ALL.len() as u64 - 1) << 4 | (Footprint::ALL.len() as u64 - 1);
-    let illegal = Error::illegal("manifest.drawing", 35, head.drawing.into(), (0, most));
-    let footprint = Footprint::numbered(head.drawing & 15).ok_or(illegal)?;
-    let up = Up::numbered(head.drawing >> 4).ok_or(illegal)?;
+    let illegal =
+        |field, found: u8, count: usize| Error::illegal(field, 35, found.into(), (0, count as u64 - 1));
+    let (low, high) = (head.drawing & 15, head.drawing >> 4);
+    let footprint =
+        Footprint::numbered(low).ok_or(illegal("manifest.footprint", low, Footprint::ALL.len()))?;
+    let up = Up::numbered(high).ok_or(illegal("manifest.up", high, Up::ALL.len()))?;
     in32("manifest.basis_values", 36, head.basis_values, 0, limits::MAX_MANIFEST_BYTES as u32 / 4)?;
     in32("manifest.transform_values", 40, head.transform_values, 0, limits::MAX_MANIFEST_BYTES as u32 / 4)?;
     Ok((sh_degree, block_len, footprint, up))

@@ -326,6 +326,15 @@ impl<'a> Manifest<'a> {
         self.sections.repairs.iter().map(Repair::from_bytes)
     }
 
+    /// The last repair range for which `first` is at most `id`, and its index; `first` is one of the
+    /// fields that ascend from range to range.
+    pub(crate) fn repair_at(&self, id: u32, first: impl Fn(&Repair) -> u32) -> Option<(usize, Repair)> {
+        let repairs = self.sections.repairs;
+        let past = repairs.partition_point(|bytes| first(&Repair::from_bytes(bytes)) <= id);
+        let index = past.checked_sub(1)?;
+        Some((index, Repair::from_bytes(repairs.get(index)?)))
+    }
+
     /// Value `index` of the window bases (`dgs1`), scaled to −2..2.
     pub fn basis(&self, index: usize) -> Option<f32> {
         let value = i16::from_le_bytes(*self.sections.window_basis.get(index)?);

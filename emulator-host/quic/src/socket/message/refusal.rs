@@ -1,12 +1,14 @@
 //! Refusals say why a server ends a session or lets none begin.
 
+use super::super::printable::printable;
+
 /// Why a server ends or refuses a session.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{sentence} ({code})")]
+#[error("{} ({code})", printable(.sentence))]
 pub struct Refusal {
     /// For programs.
     pub code: RefusalCode,
-    /// For people.
+    /// For people, as it was received: control characters are shown by another character.
     pub sentence: String,
 }
 

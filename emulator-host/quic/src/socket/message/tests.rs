@@ -151,3 +151,15 @@ fn the_page_numbers_schedulers_as_the_message_does() {
         assert_eq!(names[usize::from(body[1])], kind.name());
     }
 }
+
+#[test]
+fn a_sentence_is_shown_without_control_characters() {
+    let sentence = "no\n\u{1b}[31mred\u{1b}]0;title\u{7}".to_owned();
+    let refusal = ServerMessage::Refusal(Refusal { code: RefusalCode::Full, sentence });
+    let [ServerMessage::Refusal(found)] = &read::<ServerMessage>(&refusal.to_bytes()).unwrap()[..] else {
+        panic!()
+    };
+    let shown = found.to_string();
+    assert!(shown.starts_with("no") && shown.ends_with("title\u{fffd} (full)"), "{shown}");
+    assert!(!shown.contains(char::is_control), "{shown:?}");
+}

@@ -41,6 +41,7 @@ fn what_comes_later_arrives_in_the_round_that_is_running() {
         };
         let ((has, report), ()) = local.run_until(async { tokio::join!(viewer, growth) }).await;
         assert_eq!((has, report.shown_count, report.refused), (all, u64::from(report.frames), 0));
+        assert!(report.grows);
         // Who comes late begins at the newest window, whatever time it asks for, and does not begin again.
         let frames = report.frames;
         let (stream, graph) = part(all);

@@ -176,3 +176,72 @@ fn a_stream_that_grows_is_reconnected_to_and_begins_where_the_server_says() {
         assert!(report.shown_count >= u64::from(report.frames), "{report:?}");
     });
 }
+
+/// A server of one stream first, and of another by the same name to whoever comes back.
+#[test]
+fn another_stream_by_the_same_name_is_not_taken_for_the_one_before() {
+    within(async {
+        let other = include_bytes!("../../../../../codec-core/tests/conformance/made-extents.dgs");
+        let other = Stream::from_bytes(other).unwrap().0;
+        let connections = Arc::new(AtomicU32::new(0));
+        let talk = move |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
+            let is_first = connections.fetch_add(1, Ordering::Relaxed) == 0;
+            let message = if is_first { stream().message().to_vec() } else { other.message().to_vec() };
+            Box::pin(async move {
+                let _ = send.write_all(&ServerMessage::Manifest(message).to_bytes()).await;
+                if is_first {
+                    tokio::time::sleep(Duration::from_millis(200)).await;
+                    connection.close(0u32.into(), b"moved");
+                }
+                let _ = connection.closed().await;
+                drop(receive);
+            })
+        };
+        let played = played(talk, |config: &mut ClientConfig| config.reconnects = 1).await;
+        assert!(matches!(played.error, Some(PlayError::Changed)), "{:?}", played.error);
+        assert_eq!(played.report.connections, 2);
+        assert_eq!(played.player.unwrap().info().packets as usize, stream().packets().len());
+    });
+}
+
+/// Connections that are lost now and then are made again, however many they become.
+#[test]
+fn a_connection_that_has_shown_something_is_one_that_can_be_made_again() {
+    within(async {
+        let talk = |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
+            Box::pin(async move {
+                let _ = send.write_all(&manifest()).await;
+                for packet in stream().packets() {
+                    let _ = connection.send_datagram_wait(packet.clone().into()).await;
+                }
+                tokio::time::sleep(Duration::from_millis(300)).await;
+                connection.close(0u32.into(), b"moved");
+                drop(receive);
+            })
+        };
+        let for_long = |config: &mut ClientConfig| {
+            (config.reconnects, config.loops) = (1, true);
+            config.duration = Some(Duration::from_secs(3));
+        };
+        let report = played(talk, for_long).await.whole().unwrap();
+        assert!(report.connections > 3, "{} connections", report.connections);
+    });
+}
+
+#[test]
+fn a_time_to_play_ends_with_an_error_where_nobody_was_there_and_may_be_endless() {
+    within(async {
+        let nobody = std::net::UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        let pin = Identity::self_signed(&["localhost".to_owned()]).unwrap().pin();
+        let config = client(nobody.local_addr().unwrap(), &Trust::Pin(pin));
+        let soon = ClientConfig { duration: Some(Duration::from_millis(200)), ..config };
+        let played = play(&soon, &mut NullSink, std::future::pending()).await;
+        assert!(matches!(played.error, Some(PlayError::TimeUp { .. })), "{:?}", played.error);
+        assert_eq!(played.report.connections, 0);
+        let server = Running::start(ServerLimits::default());
+        let endless = ClientConfig { duration: Some(Duration::MAX), ..server.client() };
+        let report = play(&endless, &mut NullSink, std::future::pending()).await.whole().unwrap();
+        assert_eq!((report.connections, report.shown_count), (1, report.frames.into()));
+        server.stop().await;
+    });
+}

@@ -236,3 +236,25 @@ fn pages_of_other_sites_get_no_websocket_and_places_are_counted() {
         server.stop().await;
     });
 }
+
+/// The connections that carried the requests are counted no more once they are WebSockets.
+#[test]
+fn one_address_does_not_take_all_places() {
+    within(async {
+        let limits = ServerLimits { max_viewers_per_address: 2, ..ServerLimits::default() };
+        let server = Running::start(limits);
+        let pages = Pages::start(&server);
+        let mut open = Vec::new();
+        for _ in 0..6 {
+            open.push(pages.open().await);
+        }
+        let refused = pages.ask(pages.request()).await;
+        assert!(matches!(refused, Err(Error::Http(answer)) if answer.status().as_u16() == 503));
+        // One that ends makes room.
+        open.pop();
+        while pages.ask(pages.request()).await.is_err() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        server.stop().await;
+    });
+}

@@ -68,10 +68,7 @@ impl End {
 
 impl From<Closed> for End {
     fn from(closed: Closed) -> Self {
-        match closed {
-            Closed::Session { code: 0, .. } => Self::Bye,
-            closed => Self::Gone(closed),
-        }
+        if closed.code() == Some(0) { Self::Bye } else { Self::Gone(closed) }
     }
 }
 
@@ -103,4 +100,41 @@ pub(in crate::socket) async fn end_session(ending: SessionCloser, send: ControlW
         End::Bye | End::Gone(_) => end.to_string(),
     };
     ending.close(code, &sentence).await;
+}
+
+#[cfg(test)]
+mod tests {
+    use quinn::{ApplicationClose, ConnectionError, VarInt};
+    use web_transport_proto::error_to_http3;
+
+    use super::*;
+
+    fn closed(code: u64, reason: &'static [u8]) -> Closed {
+        let error_code = VarInt::from_u64(code).unwrap();
+        ConnectionError::ApplicationClosed(ApplicationClose { error_code, reason: reason.into() }).into()
+    }
+
+    #[test]
+    fn a_viewer_that_closes_is_through_by_whatever_that_is_heard() {
+        let session = |code| Closed::Session { code, reason: String::new() };
+        for closed in [closed(0, b""), closed(error_to_http3(0), b""), session(0)] {
+            assert!(matches!(End::from(closed.clone()), End::Bye), "{closed}");
+        }
+        for closed in [closed(4, b""), session(4), ConnectionError::TimedOut.into(), Closed::Socket] {
+            assert!(matches!(End::from(closed.clone()), End::Gone(_)), "{closed}");
+        }
+    }
+
+    /// Neither a line nor an escape sequence of its own.
+    #[test]
+    fn what_a_peer_closes_with_is_one_line_of_text() {
+        let closed = closed(4, b"bad\n127.0.0.1:1 figure\x1b[31m \xc2\x9b2J\x07");
+        let refusal = closed.refusal().unwrap().to_string();
+        for said in [End::from(closed).to_string(), refusal] {
+            assert!(said.contains("bad") && !said.contains(char::is_control), "{said:?}");
+        }
+        let session = Closed::Session { code: 4, reason: "bad\n\u{9b}2J".to_owned() };
+        assert!(!session.to_string().contains(char::is_control));
+        assert!(!session.refusal().unwrap().sentence.contains(char::is_control));
+    }
 }

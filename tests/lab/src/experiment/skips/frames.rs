@@ -6,7 +6,7 @@ use dgs::{
     args::ProfileName,
     pipeline::{self, Quiet},
 };
-use render_host::{Camera, Changes, Rendered, Renderer, ReuseCounts, ReuseOptions, SequenceRenderer, Splats};
+use render_host::{Camera, Rendered, Renderer, ReuseCounts, ReuseOptions, SequenceRenderer, Splats};
 use trainer_host::{
     Instant, Scene,
     encode::Protection,
@@ -96,7 +96,7 @@ fn measure(bench: &mut Bench, key: &str, instants: &[Instant], camera: &Camera, 
     let (mut error, mut reused) = (0.0f64, Vec::new());
     for instant in instants {
         let fresh = renderer.render(&splats(instant)?, camera, &settings)?;
-        let got = sequence.render(&splats(instant)?, Changes::Unknown, camera, &settings)?;
+        let got = sequence.render(&splats(instant)?, camera, &settings)?;
         error = error.max(max_abs(&got.image, &fresh.image));
         reused.push((sequence.reused(), fresh.counters.tiles, instant.gaussians.len() as u64));
     }
@@ -145,10 +145,10 @@ fn measure(bench: &mut Bench, key: &str, instants: &[Instant], camera: &Camera, 
     for _ in 0..runs {
         plain.push(fresh(&mut renderer, &mut out)?);
         for (sequence, times) in sequences.iter_mut().zip(&mut times) {
-            sequence.render(&splats(first)?, Changes::Unknown, camera, &settings)?;
+            sequence.render(&splats(first)?, camera, &settings)?;
             let pass = || {
                 rest.iter().try_for_each(|i| {
-                    sequence.render(&splats(i)?, Changes::Unknown, camera, &settings)?;
+                    sequence.render(&splats(i)?, camera, &settings)?;
                     Ok(())
                 })
             };

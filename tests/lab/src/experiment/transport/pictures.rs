@@ -65,7 +65,7 @@ pub(super) fn protocol(setup: &Setup) -> String {
          with --lpips, LPIPS of {pictures} frames at {SIDE}x{SIDE} from a held-out camera against the \
          source's own render; flicker: change from every fourth of them to the next frame that the source \
          does not have; playout never waits once it has begun, so that what is missing shows as a freeze: \
-         frames in a row, longer than 150 ms and one, of whose base less than half is there; rank \
+         frames in a row, two at least and for 150 ms, of whose base less than half is there; rank \
          correlation over all runs of utility with -D; ideal transport: the same plan where the link is \
          always filled, nothing is lost and its rate is known"
     )

@@ -80,7 +80,6 @@ impl Document {
         let gltf = ::gltf::Document::from_json(root)
             .map_err(|e| FORMAT.malformed("JSON", e, "a consistent document"))?;
         let max_values = limits.max_gaussians.saturating_mul(16);
-        let unfolded = draco::unfolded(text, &buffers, limits)?;
         let mut document = Self { gltf, buffers, unfolded, images: Vec::new(), max_values };
         document.embed_images(beside)?;
         Ok(document)

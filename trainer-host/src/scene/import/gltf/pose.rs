@@ -4,7 +4,10 @@ use glam::{DMat4, DQuat, DVec3, DVec4};
 use gltf::animation::{Interpolation, Property};
 
 use super::document::{Document, FORMAT, too_large};
-use crate::scene::import::{Limits, error::ImportError};
+use crate::scene::import::{
+    Limits,
+    error::{ErrorKind, ImportError},
+};
 
 /// Which animation of a file to play.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -113,9 +116,12 @@ impl Rig {
         let Some(animation) = chosen else {
             return match clip {
                 Clip::First => Ok(()),
-                Clip::Index(index) => Err(FORMAT.malformed("clip", index, document.clip_list())),
+                Clip::Index(index) => {
+                    Err(FORMAT.error(ErrorKind::NotFound, "clip", index, document.clip_list()))
+                }
                 Clip::Name(name) => {
-                    Err(FORMAT.malformed("clip", format_args!("{name:?}"), document.clip_list()))
+                    let name = format!("{name:?}");
+                    Err(FORMAT.error(ErrorKind::NotFound, "clip", name, document.clip_list()))
                 }
             };
         };

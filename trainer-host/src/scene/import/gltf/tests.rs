@@ -150,8 +150,11 @@ fn the_seed_decides() {
 
 #[test]
 fn wrong_clips_and_damaged_indices_are_refused() {
-    let error = parse(&sample(), nothing_beside, &options(Clip::Name("fly".into())), &Limits::default());
-    assert!(error.unwrap_err().to_string().contains("rise, turn"));
+    for clip in [Clip::Name("fly".into()), Clip::Index(2)] {
+        let error = parse(&sample(), nothing_beside, &options(clip), &Limits::default()).unwrap_err();
+        assert_eq!(error.kind, ErrorKind::NotFound, "{error}");
+        assert!(error.to_string().contains("rise, turn"), "{error}");
+    }
     let mut bytes = sample();
     let at = bytes.windows(12).position(|w| w == [0, 0, 1, 0, 2, 0, 0, 0, 2, 0, 3, 0]).unwrap();
     bytes[at + 2] = 200;

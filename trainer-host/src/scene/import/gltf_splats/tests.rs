@@ -51,6 +51,40 @@ fn nodes_move_what_hangs_on_them() {
 }
 
 #[test]
+fn linear_colours_are_encoded() {
+    let bytes = export::gltf::encode(&export::tests::epoch(20, 1), 0).unwrap();
+    let read = |bytes: &[u8]| parse(bytes, nothing, &Limits::default()).unwrap();
+    let plain = read(&bytes);
+    for name in ["lin_rec709_display", "BT.709-linear"] {
+        let linear = read(&edited(&bytes, "srgb_rec709_display", name));
+        assert!(linear.notes[0].contains("higher bands"), "{:?}", linear.notes);
+        let (a, b) = (plain.epoch.attributes(), linear.epoch.attributes());
+        for (a, b) in a.sh0.frame(0, 20).iter().flatten().zip(b.sh0.frame(0, 20).iter().flatten()) {
+            let (a, b) = (0.5 + SH_C0 * a, 0.5 + SH_C0 * b);
+            let back = if b <= 0.040_45 { b / 12.92 } else { ((b + 0.055) / 1.055).powf(2.4) };
+            assert!((back - a).abs() < 1e-4 && (b - a).abs() > 1e-3, "{a} and {b}");
+        }
+        assert_eq!((&a.sh_rest, &a.positions), (&b.sh_rest, &b.positions));
+    }
+    // As drafts wrote it, and without a word.
+    for to in [r#""colorSpace":"BT.709-srgb","#, ""] {
+        let same = read(&edited(&bytes, r#""colorSpace":"srgb_rec709_display","#, to));
+        assert_eq!(same, plain);
+    }
+}
+
+#[test]
+fn without_scenes_each_node_is_read_once() {
+    let bytes = sample(3);
+    let nested = edited(&bytes, r#"[{"mesh":0}]"#, r#"[{"mesh":0},{"children":[0],"translation":[0,5,0]}]"#);
+    let nested = edited(&nested, r#""scenes":[{"nodes":[0]}]"#, r#""scenes":[]"#);
+    let read = |bytes: &[u8]| parse(bytes, nothing, &Limits::default()).unwrap().epoch.instant(0).gaussians;
+    let (plain, nested) = (read(&bytes), read(&nested));
+    assert_eq!(nested.len(), 3);
+    assert_eq!(nested[2].position[1], plain[2].position[1] + 5.0);
+}
+
+#[test]
 fn what_contradicts_itself_is_named() {
     let bytes = sample(3);
     for (from, to, says) in [
@@ -60,6 +94,13 @@ fn what_contradicts_itself_is_named() {
         (r#""VEC4""#, r#""VEC3""#, "ROTATION"),
         (r#""count":3"#, r#""count":4"#, "POSITION"),
         (r#""componentType":5126"#, r#""componentType":9"#, "component type"),
+        (r#""ellipse""#, r#""customShape""#, "kernel: found customShape; allowed: ellipse"),
+        (r#""ellipse""#, "7", "kernel: found 7"),
+        (
+            "srgb_rec709_display",
+            "BT.2020-pq",
+            "colorSpace: found BT.2020-pq; allowed: srgb_rec709_display or",
+        ),
         (r#""extensionsUsed""#, r#""extensionsRequired":["EXT_x"],"extensionsUsed""#, "EXT_x"),
     ] {
         let error = parse(&edited(&bytes, from, to), nothing, &Limits::default()).unwrap_err();

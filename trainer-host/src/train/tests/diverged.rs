@@ -1,0 +1,49 @@
+//! What a training that gives up leaves.
+
+use super::*;
+
+/// Its checkpoint is of the state that it fell back to, and as far as that had come; going on with it is one
+/// more attempt and no more.
+#[test]
+fn what_is_left_of_a_training_that_gives_up_is_not_complete() {
+    let dataset = dataset(synth::SynthKind::Balls, 2, 6);
+    let options = TrainOptions { initial_gaussians: 100, max_gaussians: 100, ..options() };
+    let mut trainer = Trainer::new(&dataset, &options).unwrap();
+    let mut report = None;
+    for step in 0..510 {
+        report = Some(trainer.step(f64::from(step) / 1000.0).unwrap());
+    }
+    assert_eq!(report.and_then(|report| report.rollback), None);
+    let attempts = |trainer: &mut Trainer| {
+        for attempt in 0.. {
+            trainer.poison();
+            // What is no number shows in a loss, or where parameters are looked through.
+            let found = (0..100)
+                .map(|_| trainer.step(0.51))
+                .find(|found| found.as_ref().map_or(true, |report| report.rollback.is_some()));
+            if let Err(error) = found.unwrap() {
+                return (attempt, error.to_string());
+            }
+        }
+        panic!("it never gives up")
+    };
+    let (fell_back, error) = attempts(&mut trainer);
+    assert!(fell_back == 3 && error.contains("it fell back 3 times"), "{fell_back}: {error}");
+    assert_eq!((trainer.steps(), trainer.progress()), (500, 0.5));
+    let bytes = Checkpoint::of(&trainer, &dataset, trainer.progress()).to_bytes().unwrap();
+    let read = Checkpoint::from_bytes(&bytes).unwrap();
+    assert_eq!((read.steps(), read.progress()), (500, 0.5));
+    let mut resumed = read.resume(&dataset).unwrap();
+    assert_eq!(attempts(&mut resumed).0, 0);
+}
+
+/// A checkpoint of another version is refused with both versions.
+#[test]
+fn checkpoints_of_other_versions_are_refused_by_name() {
+    let dataset = dataset(synth::SynthKind::Balls, 2, 6);
+    let trainer = Trainer::new(&dataset, &options()).unwrap();
+    let mut bytes = Checkpoint::of(&trainer, &dataset, 0.0).to_bytes().unwrap();
+    bytes[8..10].copy_from_slice(&9u16.to_le_bytes());
+    let error = Checkpoint::from_bytes(&bytes).unwrap_err().to_string();
+    assert_eq!(error, "version is 9; 10 is allowed");
+}
