@@ -105,7 +105,11 @@ fn a_wrong_table_is_found() {
         ("| 1 | 0x", "| 2 | 0x", "coefficient(2, "),
         ("| checksum | 3 |", "| checksum | 4 |", "checksum"),
         ("| manifest.magic manifest.version", "| manifest.version", "manifest.magic"),
-        ("| parity.id | contradiction |", "| parity.id | illegal |", "parity.id is contradiction"),
+        (
+            "| packet.crc receipt.crc file.index_crc | checksum |",
+            "| packet.crc receipt.crc file.index_crc | illegal |",
+            "packet.crc is checksum",
+        ),
         ("cluster.radius | illegal |", "cluster.radius | unknown |", "cluster.radius is illegal"),
         ("| parity | 0b110 |", "| parity | 0b111 |", "kind parity"),
         ("| 296 | 05 db 8a a0 |", "| 296 | 05 db 8b a0 |", "one.dgs at 296"),
