@@ -3,8 +3,8 @@
 //! The file has `camera_angle_x` (radians) or `fl_x`/`fl_y`/`cx`/`cy` (pixels), optionally `w` and `h`, and a
 //! list of `frames`, each with `file_path`, `transform_matrix` (camera-to-world, OpenGL axes) and, in dynamic
 //! sets, `time`. A frame may override any of the image's numbers, angles and focal lengths together. A lens
-//! that distorts (`k1` to `k4`, `p1`, `p2`, or a `camera_model` that is not a pinhole) is refused. Fields we do
-//! not know are skipped. Memory is bounded by the length of the text.
+//! that distorts (`k1` to `k4`, `p1`, `p2`, or a `camera_model` that is not a pinhole) is refused. Fields
+//! we do not know are skipped. Memory is bounded by the length of the text.
 
 use serde::Deserialize;
 
