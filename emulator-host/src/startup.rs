@@ -81,7 +81,7 @@ impl Awaited {
     }
 
     /// Whether enough is there, by the sum over the groups in their order. `is_there` says it of a place and
-    /// its group, as [`Self::set`] has been told: where rounding might decide, the groups are added up again.
+    /// its group, as [`Self::set`] was given it: where rounding might decide, the groups are added up again.
     pub(crate) fn is_enough(&mut self, is_there: impl Fn(usize, GroupIndex) -> bool) -> bool {
         let Some(share) = self.share else { return false };
         let wanted = share * self.total;

@@ -10,7 +10,7 @@ use codec_core::internals::{digest::Digest, receiver::Content, wire::crc::crc32}
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use trainer_host::{
-    Scene, Stream, Track,
+    Stream,
     encode::clip::Clip,
     stream::PacketMap,
     train::Views,
@@ -185,7 +185,7 @@ fn measured(
         References::Renders(SourceRenders { scene, cameras, gain_cameras, frames_per_span }) => {
             values.push(("references", json!("renders of the source")));
             values.push(("frames per span", json!(frames_per_span)));
-            digested.push(("scene", digest(scene)));
+            digested.push(("scene", scene.digest()));
             digested.push(("cameras", Digest::new().bytes(&serde_json::to_vec(&[cameras, gain_cameras])?)));
         }
         References::Photographs(photographs) => {
@@ -233,35 +233,11 @@ fn accepted(
     Ok(stored.table)
 }
 
-/// A digest of every value of `scene`.
-fn digest(scene: &Scene) -> Digest {
-    fn track<T: Copy, const N: usize>(
-        digest: Digest,
-        track: &Track<T>,
-        values: impl Fn(T) -> [f32; N],
-    ) -> Digest {
-        let (Track::Constant(all) | Track::PerFrame(all)) = track;
-        all.iter().fold(digest, |digest, &value| digest.values(&values(value)))
-    }
-    let mut all = Digest::new();
-    for epoch in scene.epochs() {
-        let a = epoch.attributes();
-        all = all.bytes(&(epoch.frames() as u64).to_le_bytes()).bytes(&(epoch.count() as u64).to_le_bytes());
-        all = track(all, &a.positions, |v| v);
-        all = track(all, &a.rotations, |v| v);
-        all = track(all, &a.log_scales, |v| v);
-        all = track(all, &a.opacity_logits, |v| [v]);
-        all = track(all, &a.sh0, |v| v);
-        all = all.values(&a.sh_rest);
-    }
-    all
-}
-
 #[cfg(test)]
 mod tests {
     use render_host::Camera;
     use trainer_host::{
-        encode,
+        Scene, encode,
         import::{Limits, synth},
     };
 

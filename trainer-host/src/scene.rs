@@ -9,6 +9,7 @@
 //! logit, colour as spherical-harmonic coefficients. World: right-handed; importers convert.
 
 pub mod activation;
+mod digest;
 pub mod edit;
 pub mod export;
 pub(crate) mod footprint_name;
@@ -94,6 +95,19 @@ pub struct Attributes {
 }
 
 impl Attributes {
+    /// Those of no Gaussians.
+    pub(crate) fn of_none(sh_degree: ShDegree) -> Self {
+        Self {
+            positions: Track::Constant(Vec::new()),
+            rotations: Track::Constant(Vec::new()),
+            log_scales: Track::Constant(Vec::new()),
+            opacity_logits: Track::Constant(Vec::new()),
+            sh0: Track::Constant(Vec::new()),
+            sh_rest: Vec::new(),
+            sh_degree,
+        }
+    }
+
     /// Whether nothing changes over the frames.
     pub fn is_constant(&self) -> bool {
         self.positions.is_constant()
@@ -221,16 +235,7 @@ impl Epoch {
 
     /// One frame without Gaussians.
     pub(crate) fn empty() -> Self {
-        let attributes = Attributes {
-            positions: Track::Constant(Vec::new()),
-            rotations: Track::Constant(Vec::new()),
-            log_scales: Track::Constant(Vec::new()),
-            opacity_logits: Track::Constant(Vec::new()),
-            sh0: Track::Constant(Vec::new()),
-            sh_rest: Vec::new(),
-            sh_degree: ShDegree::ZERO,
-        };
-        Self { count: 0, frames: 1, attributes }
+        Self { count: 0, frames: 1, attributes: Attributes::of_none(ShDegree::ZERO) }
     }
 
     /// Number of Gaussians, N. May be zero.

@@ -79,8 +79,8 @@ impl Seen {
 }
 
 impl Rendering<'_> {
-    /// Renders and measures the complete stream and what schedulers showed; `report` is told how many frames
-    /// are done.
+    /// Renders and measures the complete stream and what schedulers showed; `report` gets the number of
+    /// frames that are done.
     ///
     /// # Errors
     /// What the renderer refuses.

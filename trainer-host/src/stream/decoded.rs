@@ -20,15 +20,7 @@ pub struct Snapshot {
 /// Values that no scene may hold.
 pub fn snapshot(instant: &Instant) -> Result<Snapshot, SceneError> {
     let rest = instant.sh_degree.rest_len();
-    let mut attributes = Attributes {
-        positions: Track::Constant(Vec::new()),
-        rotations: Track::Constant(Vec::new()),
-        log_scales: Track::Constant(Vec::new()),
-        opacity_logits: Track::Constant(Vec::new()),
-        sh0: Track::Constant(Vec::new()),
-        sh_rest: Vec::new(),
-        sh_degree: instant.sh_degree,
-    };
+    let mut attributes = Attributes::of_none(instant.sh_degree);
     let mut rows = Vec::new();
     for (i, gaussian) in instant.gaussians.iter().enumerate() {
         if gaussian.is_absent() {

@@ -94,7 +94,7 @@ impl Closed {
     /// The refusal that the peer has closed with.
     pub(super) fn refusal(&self) -> Option<Refusal> {
         let (code, reason) = self.said()?;
-        RefusalCode::of(code).map(|code| Refusal { code, sentence: printable(reason) })
+        RefusalCode::of(code).map(|code| Refusal { code, sentence: reason.into_owned() })
     }
 
     /// Code and reason that the peer has closed with.

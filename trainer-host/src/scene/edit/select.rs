@@ -191,13 +191,5 @@ fn rows(epoch: &Epoch, stays: &[bool]) -> Result<Epoch, SceneError> {
     if stays.contains(&true) {
         return Epoch::new(epoch.frames(), attributes);
     }
-    let empty = Attributes {
-        positions: Track::Constant(Vec::new()),
-        rotations: Track::Constant(Vec::new()),
-        log_scales: Track::Constant(Vec::new()),
-        opacity_logits: Track::Constant(Vec::new()),
-        sh0: Track::Constant(Vec::new()),
-        ..attributes
-    };
-    Epoch::new(epoch.frames(), empty)
+    Epoch::new(epoch.frames(), Attributes::of_none(a.sh_degree))
 }

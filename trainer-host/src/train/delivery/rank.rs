@@ -15,7 +15,7 @@ use super::{
     view::Reference,
     {LossModel, Validation},
 };
-use crate::scene::{Scene, Track};
+use crate::scene::Scene;
 
 /// What one rank came to with one seed.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -88,23 +88,8 @@ pub fn measure_rank(
 /// Hashes of `scene` and of `references`, on which results depend besides the options: FNV-1a, 64 bits, as 16
 /// hexadecimal digits each.
 pub fn input_hashes(scene: &Scene, references: &[Reference]) -> [String; 2] {
-    fn with<T: Copy, const N: usize>(digest: Digest, track: &Track<T>, of: impl Fn(T) -> [f32; N]) -> Digest {
-        let (Track::Constant(all) | Track::PerFrame(all)) = track;
-        all.iter().fold(digest, |digest, &value| digest.values(&of(value)))
-    }
-    let mut digest = Digest::new().bytes(&scene.frames_per_second().to_le_bytes());
-    for epoch in scene.epochs() {
-        let a = epoch.attributes();
-        for count in [epoch.frames(), epoch.count()] {
-            digest = digest.bytes(&(count as u64).to_le_bytes());
-        }
-        digest = with(digest, &a.positions, |v| v);
-        digest = with(digest, &a.rotations, |v| v);
-        digest = with(digest, &a.log_scales, |v| v);
-        digest = with(digest, &a.opacity_logits, |v| [v]);
-        digest = with(digest, &a.sh0, |v| v);
-        digest = digest.values(&a.sh_rest);
-    }
+    let digest = Digest::new().bytes(&scene.frames_per_second().to_le_bytes());
+    let digest = digest.bytes(&scene.digest().get().to_le_bytes());
     [hex(digest.get()), references_hash(references)]
 }
 

@@ -135,6 +135,6 @@ mod tests {
         }
         let session = Closed::Session { code: 4, reason: "bad\n\u{9b}2J".to_owned() };
         assert!(!session.to_string().contains(char::is_control));
-        assert!(!session.refusal().unwrap().sentence.contains(char::is_control));
+        assert!(!session.refusal().unwrap().to_string().contains(char::is_control));
     }
 }
