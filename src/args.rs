@@ -99,7 +99,9 @@ pub enum Verb {
     /// Send a scene or a .dgs file over an emulated link under one scheduler.
     ///
     /// The utility is the share of what the stream could show; beside it stands what no schedule could pass
-    /// over the same link (over the model, up to 4,000 packets, without a trace of delays).
+    /// over the same link (over the model alone; over --transport quic it is not computed). Beside all
+    /// misses stand those of groups of positive utility: what would make pictures worse is left out on
+    /// purpose.
     Stream(StreamArgs),
     /// Run a design of many simulations from a file: parallel, resumable, in shards; then summarise it.
     Sweep(SweepArgs),
@@ -178,7 +180,8 @@ pub enum PolicyName {
     Dependency,
     /// What each byte adds to the picture, by the time it arrives.
     DeadlineUtility,
-    /// The paper's score S(g), exactly.
+    /// Scores by the paper's S(g) exactly; around it: the first frame's base goes first, groups with P below
+    /// .05 are skipped, 16 are ranked for up to 100 ms, what was begun is finished.
     DeadlineUtilityPaper,
 }
 
@@ -308,7 +311,8 @@ pub struct Decode {
 #[derive(Debug, Args)]
 #[command(
     mut_arg("cameras", |arg| arg.help("A viewer at cameras of a file, a Blender/NeRF \
-        transforms_*.json or COLMAP's cameras and images, one after the other [default: no viewer]")),
+        transforms_*.json or COLMAP's cameras and images, one after the other: pictures of all frames are \
+        compared with complete ones (PSNR), as for --eye and --turntable [default: no viewer, no pictures]")),
     mut_arg("width", |arg| arg.help("Width of what the viewer sees, 1 to 16384 pixels")),
     mut_arg("height", |arg| arg.help("Height of what the viewer sees, 1 to 16384 pixels")),
     mut_arg("background", |arg| arg.help("Background of what the viewer sees, 0 to 1 per channel: grey \
@@ -416,7 +420,8 @@ pub struct Bench {
     /// Folder for tables (CSV) and drawings (SVG) of the benches that make them; none are written without.
     #[arg(long)]
     pub out: Option<PathBuf>,
-    /// Weights of LPIPS (AlexNet, safetensors), to measure it too: in `transport`.
+    /// Weights of LPIPS (AlexNet, safetensors), to measure it too: in `transport`, `workloads` and `erasure`;
+    /// the last also finds them in the data folder (lpips/alexnet.safetensors).
     #[arg(long, value_name = "FILE")]
     pub lpips: Option<PathBuf>,
 }

@@ -24,6 +24,14 @@ impl Machine {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self { cpu: cpu.unwrap_or_else(|| std::env::consts::ARCH.to_owned()), cores, device: None }
     }
+
+    /// Largest resident set of a process so far, bytes: of `process`, its number or `self`. None where the
+    /// system does not tell, or has no such process (`VmHWM` of proc_pid_status(5)).
+    pub fn peak_memory_bytes(process: &str) -> Option<u64> {
+        let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+        line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
+    }
 }
 
 /// How often what was shown stood still, and for how many frames in all.
@@ -65,4 +73,23 @@ pub(crate) fn audit_lines(levels: &[LevelAudit]) -> String {
         )
     };
     levels.iter().map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn peak_memory_grows_with_what_was_used_and_is_of_processes_that_are_there() {
+        let tells = std::fs::read_to_string("/proc/self/status").is_ok_and(|text| text.contains("VmHWM:"));
+        let before = Machine::peak_memory_bytes("self");
+        assert_eq!(before.is_some(), tells);
+        let block = std::hint::black_box(vec![1u8; 64 << 20]);
+        let after = Machine::peak_memory_bytes("self");
+        if let (Some(before), Some(after)) = (before, after) {
+            assert!(after >= 64 << 20 && after >= before, "{before} {after}");
+        }
+        assert!(block.iter().all(|&byte| byte == 1));
+        assert_eq!(Machine::peak_memory_bytes("none"), None);
+    }
 }

@@ -21,7 +21,10 @@ use tempfile::NamedTempFile;
 
 pub use self::frames::FrameFolder;
 use self::leftovers::Unfinished;
-pub(crate) use self::{leftovers::remove_unfinished, log::LineLog};
+pub(crate) use self::{
+    leftovers::{Writer, remove_unfinished},
+    log::LineLog,
+};
 use crate::output;
 
 /// `path` for people and for JSON, which holds no other text than Unicode: what is none is shown as
@@ -85,6 +88,21 @@ pub(crate) fn check_no_pattern(path: &Path) -> Result<()> {
         bail!("{}: is one file; for one per frame name a folder, without an ending", path.display());
     }
     Ok(())
+}
+
+/// Refuses a name that is one of `endings` (with their dots) and nothing else, such as `.ply`: it is meant as
+/// an ending, and would be a folder's name.
+pub(crate) fn check_no_bare_ending<'e>(
+    path: &Path,
+    endings: impl IntoIterator<Item = &'e str>,
+) -> Result<()> {
+    let Some(name) = path.file_name().filter(|_| !path.is_dir()) else { return Ok(()) };
+    match endings.into_iter().find(|ending| name.eq_ignore_ascii_case(ending)) {
+        Some(ending) => {
+            bail!("{}: is an ending without a name; name{ending} is a file, {name:?} none", path.display())
+        }
+        None => Ok(()),
+    }
 }
 
 /// Refuses to write a file that is one of `others`, which are read or written besides, or a folder that one

@@ -17,6 +17,9 @@ use crate::files::{self, FrameFolder, PendingFile};
 /// Quality of JPEG where none is chosen, 1 to 100.
 const JPEG_QUALITY: u8 = 92;
 
+/// Endings of files of pictures.
+const ENDINGS: [&str; 8] = [".png", ".jpg", ".jpeg", ".webp", ".apng", ".gif", ".mp4", ".webm"];
+
 /// What pictures become.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PictureOutput {
@@ -75,6 +78,7 @@ impl PictureOutput {
     }
 
     fn of_name(path: &Path, codec: Option<VideoCodec>) -> Result<Self> {
+        files::check_no_bare_ending(path, ENDINGS)?;
         let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         if ending.is_some() {
             files::check_no_pattern(path)?;
@@ -319,6 +323,12 @@ mod tests {
         assert_eq!(of("folder/frames").unwrap(), PictureOutput::Folder);
         let error = of("x.bmp").unwrap_err().to_string();
         assert!(error.contains("x.bmp") && error.contains(".webp"), "{error}");
+        for name in ENDINGS {
+            let error = of(name).unwrap_err().to_string();
+            assert!(error.starts_with(&format!("{name}: is an ending without a name")), "{error}");
+            assert_ne!(of(&format!("a{name}")).unwrap(), PictureOutput::Folder, "{name}");
+        }
+        assert_eq!(of(".frames").unwrap(), PictureOutput::Folder);
         let folder = tempfile::tempdir().unwrap();
         let dotted = folder.path().join("frames.v2");
         std::fs::create_dir(&dotted).unwrap();

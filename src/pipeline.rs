@@ -59,6 +59,9 @@ use crate::{
     progress::Progress,
 };
 
+/// What ends the note on the way that is taken to be up.
+pub(crate) const UP_HINT: &str = "; --up says otherwise";
+
 /// Whether progress is left out: the output is for a program (`--json`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quiet(pub bool);
@@ -140,7 +143,7 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         (Some(typed), _) => typed.into(),
         (None, usual) => {
             let up = usual.unwrap_or_default();
-            scene.notes.push(format!("up is taken to be {up}; --up says otherwise"));
+            scene.notes.push(format!("up is taken to be {up}{UP_HINT}"));
             up
         }
     };

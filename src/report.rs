@@ -61,6 +61,10 @@ pub struct SchedulerRun {
     pub mean_psnr_db: f64,
     /// The mean of the worst tenth of frames, dB.
     pub tail_psnr_db: f64,
+    /// D: the mean over the same frames of MSE + 0.20 (1 − SSIM), data range 1. Source: the paper's
+    /// distortion.
+    #[serde(rename = "d")]
+    pub distortion: f64,
     /// Mean SSIM.
     pub mean_ssim: f64,
     /// Temporal flicker against the source's own frame-to-frame changes.

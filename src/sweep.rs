@@ -4,9 +4,10 @@
 //! that it names), and per batch of blocks `runs/NNNNN.jsonl` (a
 //! line per simulation) and `trajectories/NNNNN.parquet` (a row per frame). A batch is written whole, so a
 //! process that is killed loses the batches that it was at and nothing else; whoever runs the same
-//! configuration into the same folder does what is missing. A shard takes one batch of every n. Once all
+//! configuration into the same folder does what is missing. A batch with a line that lacks a quantity counts
+//! as cut: it is made again, and `merge` refuses it. A shard takes one batch of every n. Once all
 //! batches are there, `runs.jsonl` and `summary.json` follow from them, byte by byte the same however they
-//! were made.
+//! were made. A folder that holds either of these two and no `sweep.toml` is another program's, and refused.
 
 mod config;
 mod digests;
@@ -30,7 +31,7 @@ use rayon::prelude::*;
 use crate::progress::Progress;
 
 /// Variables in which launchers tell a process its number, from 0, and how many there are: Open MPI; MPICH
-/// and Intel MPI; Slurm.
+/// and Intel MPI; Slurm. Nothing else of MPI is needed, and so no MPI library: shares exchange no messages.
 const LAUNCHERS: [[&str; 2]; 3] = [
     ["OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"],
     ["PMI_RANK", "PMI_SIZE"],

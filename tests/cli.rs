@@ -86,6 +86,9 @@ fn the_demo_writes_its_report_and_names_it_last() {
     let text = ok(at, &args);
     let last = text.lines().last().unwrap();
     assert_eq!(last, Path::new("dgs-demo").join("report.html").to_str().unwrap());
+    let columns: Vec<&str> = text.lines().nth(1).unwrap().split_whitespace().collect();
+    assert_eq!(columns[..6], ["scheduler", "PSNR", "worst", "10%", "D", "SSIM"], "{text}");
+    assert_eq!(columns[6..10], ["flicker", "frozen", "startup", "miss"], "{text}");
     let html = std::fs::read_to_string(at.join(last)).unwrap();
     for name in ["layered", "dash", "dependency", "deadline-utility"] {
         assert!(html.contains(name), "{name}");
@@ -95,7 +98,14 @@ fn the_demo_writes_its_report_and_names_it_last() {
     assert!(error.contains("report.html: is there already") && error.contains("--overwrite"), "{error}");
     let json = std::fs::read_to_string(at.join("dgs-demo/report.json")).unwrap();
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
-    assert_eq!(json["runs"].as_array().unwrap().len(), 4);
+    let runs = json["runs"].as_array().unwrap();
+    assert_eq!(runs.len(), 4);
+    for run in runs {
+        // The mean of MSE is at least that of the mean PSNR.
+        let number = |key: &str| run[key].as_f64().unwrap();
+        let least = 10f64.powf(-0.1 * number("mean_psnr_db")) + 0.20 * (1.0 - number("mean_ssim")) - 1e-9;
+        assert!(number("d") >= least && number("d") < 1.0, "{run}");
+    }
 }
 
 #[test]
@@ -355,6 +365,7 @@ fn what_is_served_is_played() {
             .current_dir(at)
             .args(["serve", "a b.dgs", "--listen", "127.0.0.1:0", "--impair", "delay=5ms"])
             .stdout(std::process::Stdio::piped())
+            .stderr(std::process::Stdio::piped())
             .spawn()
             .unwrap(),
     );
@@ -412,6 +423,12 @@ fn what_is_served_is_played() {
     assert!(server.0.wait().unwrap().success());
     assert!(rest.contains("5 viewers; 1 handshakes failed") && rest.contains("unknown stream 1"), "{rest}");
     assert!(rest.contains("page: 3 requests on 3 connections"), "{rest}");
+    // What each address is for stands beside it where people read, and addresses alone where programs do.
+    let mut beside = String::new();
+    server.0.stderr.take().unwrap().read_to_string(&mut beside).unwrap();
+    let lines: Vec<&str> = beside.lines().rev().take(2).collect();
+    let page = "dgs: for a browser, the page that plays it:";
+    assert_eq!(lines, [page, "dgs: for dgs play, and for dgs view --window:"], "{beside}");
     let error = refused(at, &["serve", "a b.dgs", "a b.dgs", "--listen", "127.0.0.1:0"]);
     assert!(error.contains("two streams are called a-b"), "{error}");
     let error = refused(at, &["serve", "a b.dgs", "--impair", "loss=2"]);

@@ -80,6 +80,7 @@ fn delivery(i: usize) -> Report {
         startup_reached: i != 1,
         miss_rate: 0.4137 - 0.08 * rank,
         base_miss_rate: 0.031 - 0.01 * rank,
+        positive_miss_rate: 0.38 - 0.08 * rank,
         utility: 0.611 + 0.091 * rank,
         duration_ns: Nanos(4_321_000_000),
         goodput_bps: 2.31e6,
@@ -103,6 +104,7 @@ fn delivery(i: usize) -> Report {
         },
         forecast: None,
         frames,
+        arrived_bytes: Vec::new(),
         samples: Vec::new(),
         boxes: Vec::new(),
         one_way_delay: None,
@@ -135,6 +137,7 @@ fn run(i: usize) -> SchedulerRun {
         tail_psnr_db: 19.271 + 2.3 * rank,
         mean_ssim: 0.8412 + 0.0311 * rank,
         flicker: 0.012_34 - 0.002 * rank,
+        distortion: 0.023_45 - 0.004 * rank,
     }
 }
 
@@ -278,6 +281,8 @@ fn the_page_has_every_name_and_every_number() {
         "0.8412",
         "0.9345",
         "12.34",
+        "23.45",
+        "11.45",
         "6.34",
         "1.17",
         "2.07",
@@ -326,6 +331,27 @@ fn the_page_has_every_name_and_every_number() {
     for number in numbers {
         assert!(text.contains(number), "{number} is missing");
     }
+    // Pictures come first, then what stood still, then startup, misses and utility.
+    let headings = [
+        "Mean PSNR",
+        "Worst 10 %",
+        "D",
+        "SSIM",
+        "Flicker",
+        "Frozen",
+        "Startup",
+        "Deadline miss",
+        "Base miss",
+        "Utility",
+        "Wasted",
+    ];
+    let head = text.split_once("<thead>").unwrap().1.split_once("</thead>").unwrap().0;
+    let found: Vec<&str> =
+        head.split("<th").skip(2).map(|cell| cell.split(['>', '<']).nth(1).unwrap()).collect();
+    assert_eq!(found, headings);
+    let json = serde_json::to_value(sample()).unwrap();
+    assert_eq!(json["runs"][0]["d"], 0.023_45);
+    assert!(json["runs"][0]["flicker"].is_number() && json["runs"][0]["mean_psnr_db"].is_number());
     assert!(text.contains("a &lt;lossy&gt; &amp; bursty link") && !text.contains("<lossy>"));
     assert!(!text.contains("NaN") && !text.contains("inf "));
     assert_eq!(html.matches("<img").count(), 4 * (1 + 2 * 4));

@@ -110,6 +110,27 @@ fn a_batch_that_was_cut_is_made_again_or_named() {
     assert!(text.contains("48 of 72 simulations took") && !text.contains("missing"), "{text}");
     assert!(contents(Path::new(&out)) == expected, "a batch that is made again has other bytes");
 
+    // Lines that lack a quantity count as cut, too: made again here, refused by `merge`.
+    let batch = Path::new(&out).join("runs/00001.jsonl");
+    let lacking: String = fs::read_to_string(&batch)
+        .unwrap()
+        .lines()
+        .map(|line| {
+            let mut trial: serde_json::Value = serde_json::from_str(line).unwrap();
+            assert!(trial.as_object_mut().unwrap().remove("positive_miss").unwrap().is_number());
+            format!("{trial}\n")
+        })
+        .collect();
+    fs::write(&batch, lacking).unwrap();
+    let error = refused(&["sweep", "merge", &out, "-o", &at(&folder, "merged")]);
+    assert!(
+        error.contains("00001.jsonl: line 1: not a simulation") && error.contains("positive_miss"),
+        "{error}"
+    );
+    let text = ok(&["sweep", &quick, "-o", &out]);
+    assert!(text.contains("2 of 3 batches of this share were there"), "{text}");
+    assert!(contents(Path::new(&out)) == expected, "a batch that is made again has other bytes");
+
     // A table that is not asked for is not made again either.
     cut("trajectories/00002.parquet").unwrap();
     let error = refused(&["sweep", &quick, "-o", &out, "--no-trajectories"]);
@@ -241,6 +262,26 @@ fn what_cannot_be_used_is_named_with_file_key_found_and_allowed() {
     assert!(error.contains("sweep.toml: results of another configuration"), "{error}");
     let error = refused(&["sweep", "merge", folder.path().to_str().unwrap(), "-o", &out]);
     assert!(error.contains("no results of a sweep here"), "{error}");
+}
+
+/// Files called as those of a sweep, in a folder that is none's, stay as they are.
+#[test]
+fn files_that_are_not_of_a_sweep_are_not_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let (quick, shard) = (quick(), at(&folder, "shard"));
+    ok(&["sweep", &quick, "-o", &shard, "--shard", "1/3", "--no-trajectories"]);
+    for name in ["runs.jsonl", "summary.json"] {
+        let other = at(&folder, name);
+        fs::create_dir(&other).unwrap();
+        fs::write(Path::new(&other).join(name), "as before").unwrap();
+        let before = contents(Path::new(&other));
+        for typed in [&["sweep", &quick, "-o", &other][..], &["sweep", "merge", &shard, "-o", &other]] {
+            let error = refused(typed);
+            assert!(error.contains(name) && error.contains("no sweep.toml beside it"), "{error}");
+        }
+        assert_eq!(contents(Path::new(&other)), before);
+        assert_eq!(fs::read_dir(&other).unwrap().count(), 1, "no folder is made in it");
+    }
 }
 
 /// The committed design is the paper's.

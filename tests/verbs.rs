@@ -18,6 +18,8 @@ mod gltf;
 mod options;
 #[path = "verbs/piped.rs"]
 mod piped;
+#[path = "verbs/refused.rs"]
+mod refused;
 
 use std::{fs, path::Path, process::Command};
 
@@ -149,6 +151,7 @@ fn a_target_psnr_says_what_it_measures() {
     let text = ok(at, &encode);
     assert!(text.contains("measured on 4 frames from 3 cameras around the scene, up y"), "{text}");
     assert!(text.contains("pictures of 256 × 256") && text.contains("covers"), "{text}");
+    assert!(text.contains("each counts by the share that is covered"), "{text}");
     let near = ["--eye", "0,1,-2", "--width", "64", "--height", "64"];
     let said = json(at, &[&encode[..], &near].concat());
     let views = &said["report"]["reached"]["views"];
@@ -403,8 +406,14 @@ fn a_viewer_who_is_close_sees_more_where_the_sender_knows_it() {
     let mean = |seen: &Value| seen["mean_psnr_db"].as_f64().unwrap();
     assert!(mean(&heard) > mean(&silent), "{heard} {silent}");
     assert!(seen(&["--turntable", "90"])["worst_tenth_psnr_db"].as_f64().unwrap() > 10.0);
-    // Without a viewer nothing is looked at.
+    // Without a viewer nothing is looked at, and what would look is named.
     assert!(seen(&[]).is_null());
+    let (hint, figure) =
+        ("--turntable or --cameras (a viewer) adds their PSNR", "PSNR against complete frames");
+    let text = ok(at, &["stream", "a.dgs"]);
+    assert!(text.contains(hint) && !text.contains(figure), "{text}");
+    let text = ok(at, &[&["stream", "a.dgs"], &tight[..], &close].concat());
+    assert!(text.contains(figure) && !text.contains(hint), "{text}");
     let text = stopped(at, &["stream", "a.dgs", "--no-pose"], 1);
     assert!(text.contains("--no-pose") && text.contains("--eye"), "{text}");
 }

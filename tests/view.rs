@@ -6,6 +6,8 @@
 #[path = "lab/src/browser.rs"]
 #[allow(dead_code, reason = "bench `view` uses the rest")]
 mod browser;
+#[path = "view/hands.rs"]
+mod hands;
 #[path = "view/keep_up.rs"]
 mod keep_up;
 #[path = "view/live.rs"]

@@ -10,6 +10,7 @@ mod delivery;
 mod kind;
 mod newreno;
 mod pacer;
+mod recent_minimum;
 mod recovery;
 mod rtt;
 mod scream;
@@ -24,6 +25,7 @@ pub use delivery::{DeliveryRate, DeliverySample};
 pub use kind::ControllerKind;
 pub use newreno::NewReno;
 pub use pacer::Pacer;
+pub use recent_minimum::RecentMinimum;
 pub use recovery::{AckOutcome, Recovery, Sent, TimerOutcome};
 pub use rtt::Rtt;
 pub use scream::Scream;
@@ -76,4 +78,12 @@ pub trait Controller: Debug + Send {
 
     /// Whether the window still grows fast, so that a cap by the path's estimated rate must leave it room.
     fn is_probing(&self) -> bool;
+
+    /// By how much the pace may exceed the path's estimated rate, as numerator and denominator. The estimate
+    /// never exceeds what was sent, so that a cap without headroom could never learn that the path is faster:
+    /// 3 while the controller probes, for the estimate is a round trip old and the window doubles in one, and
+    /// 5/4 afterwards.
+    fn headroom(&self) -> (u64, u64) {
+        if self.is_probing() { (3, 1) } else { (5, 4) }
+    }
 }

@@ -62,14 +62,19 @@ pub struct SenderView<'a> {
     pub smoothed_rtt: Nanos,
     /// Its mean deviation.
     pub rtt_variation: Nanos,
-    /// Smallest round trip; zero before the first sample.
+    /// Smallest round trip of late; zero before the first sample.
     pub minimum_rtt: Nanos,
     /// UDP payload bytes in flight.
     pub in_flight: u64,
     /// When each packet was last sent; zero if never.
     pub sent_at: &'a [Nanos],
+    /// Number of the latest sending of each packet, ascending in the order of sending; [`u64::MAX`] if never.
+    pub sent_number: &'a [u64],
     /// Share of datagrams that the path loses of late, 0..=1.
     pub loss: f64,
+    /// The same share among those whose predecessor was lost: [`Self::loss`] where losses are independent,
+    /// 1 − 1/n where they come in bursts of mean length n.
+    pub loss_after_loss: f64,
     /// What playout waits for.
     pub startup: StartupRule,
     /// Times that a lost base packet may be sent again.

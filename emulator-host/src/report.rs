@@ -176,6 +176,11 @@ pub struct Report {
     pub miss_rate: f64,
     /// The same for level 0.
     pub base_miss_rate: f64,
+    /// The same as [`Self::miss_rate`] for groups of positive utility, 0..=1: what a scheduler leaves out
+    /// because it would make the picture worse, or no better, is no miss. A frame without such groups has
+    /// none missing.
+    #[serde(skip)]
+    pub positive_miss_rate: f64,
     /// Mean of [`FrameRow::utility`]; frames that were never shown count as zero.
     pub utility: f64,
     /// Length of the run.
@@ -198,6 +203,11 @@ pub struct Report {
     pub forecast: Option<ForecastRow>,
     /// One row per playout time.
     pub frames: Vec<FrameRow>,
+    /// Bytes of media that had arrived by each of [`Self::frames`], ascending: every packet that arrived,
+    /// repeated ones and parity included, with 58 bytes of headers each, as on the link of the model. 0
+    /// before the manifest is complete: nothing can be shown then.
+    #[serde(skip)]
+    pub arrived_bytes: Vec<u64>,
     /// The sender's state over time.
     pub samples: Vec<SenderRow>,
     /// Counts of every box, downlink first.

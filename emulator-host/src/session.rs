@@ -11,8 +11,8 @@
 //! What is modelled: control and media share one congestion budget, control first; media that overtakes the
 //! manifest is buffered; receipts cost uplink and may be lost; lost base packets are sent again within a
 //! budget while they can still be shown; playout starts at a threshold and never waits after it. Not
-//! modelled: handshake, clock offset (the receipt carries the playout time and both ends share a clock),
-//! decoding time.
+//! modelled: handshake, ECN (links drop and never mark), clock offset (the receipt carries the playout time
+//! and both ends share a clock), decoding time.
 
 mod client;
 mod control;
@@ -22,6 +22,7 @@ mod feedback;
 mod forecast;
 mod freezes;
 mod ideal;
+mod loss_bursts;
 mod loss_share;
 mod media_receiver;
 mod media_sender;
@@ -29,6 +30,7 @@ mod metrics;
 mod outstanding;
 mod parity_queue;
 mod reported_pose;
+mod round_trip_probe;
 mod run;
 mod sender;
 mod threshold;

@@ -125,7 +125,9 @@ pub struct Trial {
     pub startup_reached: bool,
     /// Share of the groups that were not usable when they were to be shown.
     pub miss: f64,
-    /// The same among level 0.
+    /// The same among groups of positive utility.
+    pub positive_miss: f64,
+    /// The same as `miss` among level 0.
     pub base_miss: f64,
     /// Usable utility over positive utility.
     pub utility: f64,
@@ -280,6 +282,7 @@ fn trial(report: &Report) -> Trial {
         startup_ms: report.startup_ms.unwrap_or(report.duration_ns.as_ms()),
         startup_reached: report.startup_reached,
         miss: report.miss_rate,
+        positive_miss: report.positive_miss_rate,
         base_miss: report.base_miss_rate,
         utility: report.utility,
         goodput_bps: report.goodput_bps,
@@ -331,6 +334,7 @@ mod tests {
         let sweep = Sweep::new(design()).unwrap();
         assert_eq!((sweep.blocks(), sweep.simulations_per_block()), (12, 4));
         let mut seen = std::collections::BTreeSet::new();
+        let mut left_out = 0;
         for block in 0..sweep.blocks() {
             let trials = sweep.run_block(block).unwrap();
             for (at, (trial, frames)) in trials.iter().enumerate() {
@@ -340,9 +344,12 @@ mod tests {
                 assert_eq!((&trial.trace, &trial.condition), (&first.trace, &first.condition));
                 let place = (trial.trace.clone(), trial.condition.clone(), trial.replicate);
                 assert!(seen.insert((place, trial.controller.clone(), trial.scheduler.clone())));
+                assert!((0.0..=1.0).contains(&trial.positive_miss), "{trial:?}");
+                left_out += usize::from(trial.positive_miss < trial.miss);
             }
         }
         assert_eq!(seen.len(), 48);
+        assert!(left_out > 0, "some groups of the clip harm, and are left out");
     }
 
     #[test]

@@ -153,7 +153,8 @@ pub enum TraceError {
     /// JSON, as Pantheon logs it.
     #[error(
         "this is JSON, and no trace: allowed are mahimahi (a time in ms per line; Pantheon's traces are of \
-         this kind), two columns (s, Mbit/s) and UCC CSV"
+         this kind), two columns (s, Mbit/s), three or four (s, Mbit/s, one-way delay in ms, loss in %) and \
+         UCC CSV"
     )]
     Json,
     /// A file packed by gzip.

@@ -39,8 +39,10 @@ fn hostile(seed: u64) -> PathConfig {
     }
 }
 
+/// Under every scheduler and every controller that fills a path: the paper's exact rule does not.
 fn each(graph: &PacketGraph, config: &SessionConfig) -> Vec<Report> {
-    let runs = ControllerKind::ALL.into_iter().flat_map(|controller| {
+    let fills = |controller: &ControllerKind| *controller != ControllerKind::BbrPaper;
+    let runs = ControllerKind::ALL.into_iter().filter(fills).flat_map(|controller| {
         PolicyKind::ALL.map(|policy| SessionConfig { policy, controller, ..config.clone() })
     });
     runs.map(|config| simulate(graph, &config).unwrap()).collect()
@@ -106,6 +108,28 @@ fn every_run_is_sane_on_a_hostile_path() {
                 assert!(repair.is_some() || report.waste.unused_repair_bytes == 0);
             }
         }
+    }
+}
+
+/// r_send = min(r_cwnd, r_path) without headroom stays where its first window led it.
+#[test]
+fn the_papers_exact_pace_leaves_a_fast_link_unused_and_headroom_does_not() {
+    let link = Rate::from_mbps(20);
+    let fast = graph(Synthetic { rate: Rate::from_mbps(40), ..short() }, 1);
+    let path = PathConfig { capacity: Capacity::Constant(link), ..PathConfig::default() };
+    let used = |controller| {
+        let config = SessionConfig { controller, policy: PolicyKind::Layered, ..down(path.clone()) };
+        let report = simulate(&fast, &config).unwrap();
+        check_sane(&report, &fast);
+        assert_eq!(report.controller, controller.name());
+        report.boxes[0].counts.delivered.bytes as f64 / link.bytes_in(report.duration_ns).0 as f64
+    };
+    let (exact, roomy) = (used(ControllerKind::BbrPaper), used(ControllerKind::BbrModel));
+    assert!(exact < 0.5 && roomy > 0.7, "{exact} {roomy}");
+    let usual = graph(short(), 2);
+    for policy in PolicyKind::ALL {
+        let config = SessionConfig { controller: ControllerKind::BbrPaper, policy, ..down(hostile(3)) };
+        check_sane(&simulate(&usual, &config).unwrap(), &usual);
     }
 }
 

@@ -4,12 +4,14 @@
 //! first sample; 5 order of A.7. Loss: 6 thresholds; 7 loss timer before probe timer; 8 spurious losses.
 //! Probes: 9 timeout and backoff; 10 timed from the last eliciting packet; 11 no loss, no window change, past
 //! the window; 12 reset by acknowledgement; 14 initial round trip. Congestion: 15 initial and minimum window;
-//! 16 one halving per recovery period; 17 one packet on entry; 18 growth in avoidance; 19 CE as one loss; 20
-//! persistent congestion; 21 application-limited; 22, 23 pacing (in `congestion/pacer.rs`). 25 datagrams; 26
-//! receipts every two packets or 25 ms; 27 receipts cost uplink; 28 what is counted.
+//! 16 one halving per recovery period; 17 one packet on entry; 18 growth in avoidance; 19 CE as one loss, for
+//! controllers; 20 persistent congestion; 21 application-limited; 22, 23 pacing (also in
+//! `congestion/pacer.rs`). 25 datagrams; 26 receipts every two packets, and (in `session/client.rs`) within
+//! 25 ms or at once behind a gap; 27 receipts cost uplink; 28 what is counted.
 //!
 //! Exceptions, because packets here start after a completed handshake and have one number space: 13, 24, 30
-//! and the parts of 3, 9 and 12 about Initial packets. 29: there is no path-MTU discovery.
+//! and the parts of 3, 9 and 12 about Initial packets. 29: there is no path-MTU discovery. 19 and 26 as far
+//! as they are about acknowledgements of CE: links drop and never mark, so there is none to acknowledge.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail like tests")]
 
@@ -277,14 +279,16 @@ fn rfc9002_18_avoidance_adds_one_datagram_per_window_acked() {
     assert!(acked >= start && acked < start + 2 * MDS, "{acked} {start}");
 }
 
+/// `quinn` hands marks to a controller as losses of nothing.
 #[test]
 fn rfc9002_19_ce_has_the_effect_of_one_loss() {
-    let mut peer = Peer::new();
-    peer.burst(10, 0);
-    peer.recovery.on_ecn(ms(0), ms(40));
-    assert_eq!((peer.window(), peer.recovery.in_flight()), (6000, 12_000));
-    peer.recovery.on_ecn(ms(0), ms(41));
-    assert_eq!(peer.window(), 6000);
+    for lost_bytes in [0, MDS] {
+        let mut controller = ControllerKind::NewReno.build(MDS);
+        assert!(controller.on_congestion(ms(0), lost_bytes, 12_000, ms(40)));
+        assert_eq!(controller.window(), 6000);
+        assert!(!controller.on_congestion(ms(0), lost_bytes, 12_000, ms(41)), "the same recovery period");
+        assert_eq!(controller.window(), 6000);
+    }
 }
 
 /// A first sample, then packets at the given times, all lost but the last.
@@ -349,6 +353,20 @@ fn rfc9002_21_paced_media_below_the_link_rate_does_not_run_away() {
     let settled: Vec<u64> = report.samples.iter().skip(10).map(|row| row.window_bytes).collect();
     assert!(settled.len() > 250 && settled.windows(2).all(|pair| pair[0] == pair[1]), "{settled:?}");
     assert!(report.sender.lost < 50, "{:?}", report.sender);
+}
+
+#[test]
+fn rfc9002_23_packets_of_acknowledgements_alone_are_neither_paced_nor_in_flight() {
+    let mut peer = Peer::new();
+    for _ in 0..1000 {
+        peer.recovery.on_sent(40, false, ms(0));
+    }
+    assert_eq!(peer.recovery.in_flight(), 0);
+    // A whole burst may still leave at once; what must be acknowledged is taken from it.
+    let burst = initial_window(MDS);
+    assert_eq!(peer.recovery.pacing_ready_at(burst, ms(0)), ms(0));
+    peer.send(0);
+    assert!(peer.recovery.pacing_ready_at(burst, ms(0)) > ms(0));
 }
 
 fn traffic(loss: LossModel, up: LossModel) -> emulator_host::Report {

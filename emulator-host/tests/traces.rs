@@ -104,15 +104,18 @@ fn measured_opportunities_have_their_published_means() {
 }
 
 #[test]
-fn measured_two_column_traces_all_load() {
+fn measured_two_column_traces_all_load_and_no_unit_of_theirs_is_doubted() {
     let Some(folder) = data() else { return };
+    let undoubted =
+        |path: &Path, trace: &Trace| assert!(trace.warnings().is_empty(), "{path:?}: {:?}", trace.warnings());
     for path in files(&folder.join("wireless_zhuge")) {
-        Trace::two_column("zhuge", &bytes(&path), HoldDirection::Backward, &Limits::default()).unwrap();
+        let trace = Trace::two_column("zhuge", &bytes(&path), HoldDirection::Backward, &Limits::default());
+        undoubted(&path, &trace.unwrap());
     }
     for family in ["fcc", "hsdpa", "oboe", "puffer"] {
         for path in files(&folder.join("broadband_merina").join(family)) {
             let trace = Trace::two_column(family, &bytes(&path), HoldDirection::Forward, &Limits::default());
-            trace.unwrap_or_else(|error| panic!("{path:?}: {error}"));
+            undoubted(&path, &trace.unwrap_or_else(|error| panic!("{path:?}: {error}")));
         }
     }
     let office = bytes(&folder.join("wireless_zhuge/office-wifi_0.pitree-trace"));

@@ -268,6 +268,7 @@ fn imports() {
         ("deformation", "all", "deformation/planes-all.safetensors"),
         ("deformation", "screw", "deformation/warp-screw.npz"),
         ("deformation", "options", "deformation/planes-all-cfg_args"),
+        ("fourdgs", "reference", "golden/reference.4dgs"),
     ] {
         put(target, name, &std::fs::read(of_others.join(file)).unwrap());
     }

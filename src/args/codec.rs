@@ -39,7 +39,7 @@ pub struct CodecArgs {
     #[arg(long, value_name = "BYTES", group = "fineness", value_parser = whole::<u64>(1..=u64::MAX, "bytes"))]
     pub target_bytes: Option<u64>,
     /// Choose the coarseness: at least this PSNR in dB, above 0 and at most 99, from validation (never
-    /// held-out) cameras.
+    /// held-out) cameras; a picture counts by the share of it that the scene covers.
     #[arg(
         long, value_name = "DB", group = "fineness", value_parser = real(MIN_PSNR_DB..=99.0, "dB"),
         allow_negative_numbers = true

@@ -81,8 +81,11 @@ pub enum ControllerName {
     Newreno,
     /// RFC 9438 CUBIC.
     Cubic,
-    /// The paper's BBR-inspired model.
+    /// The paper's BBR-inspired model, with headroom above the rate that it estimates.
     BbrModel,
+    /// The same as the paper's text has it, r_send = min(r_cwnd, r_path) exactly: it hardly finds a faster
+    /// path than its first window did.
+    BbrPaper,
     /// SCReAMv2 (RFC 8298bis): bounds the delay of its own queue, made for media.
     Scream,
 }

@@ -18,7 +18,7 @@ pub struct SweepArgs {
     #[arg(required = true, value_name = "CONFIG.toml")]
     pub config: Option<PathBuf>,
     /// Folder for the results. Run again with the same configuration and the same traces, it does what is
-    /// missing there.
+    /// missing there. A folder with a runs.jsonl or summary.json that is not of a sweep is refused.
     #[arg(short, long, required = true, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
     /// Folder in which the files of traces lie [default: that of the configuration].

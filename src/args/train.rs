@@ -13,7 +13,7 @@ use super::{
 
 /// Loss of PSNR by encoding where nothing is said, dB.
 pub(crate) const ENCODING_LOSS: f64 = 0.1;
-/// Times that quality is measured where nothing is said.
+/// Times that quality is measured after the first step where nothing is said.
 pub(crate) const EVALUATIONS: u32 = 10;
 /// What a new epoch must gain where nothing is said, dB.
 pub(crate) const SPLIT: f64 = 0.5;
@@ -91,14 +91,15 @@ pub struct Train {
     #[arg(long, value_enum)]
     pub density: Option<DensityName>,
     /// What renders and differentiates photographs; gpu is in builds with `--features gpu`. Fine-tuning for
-    /// delivery, encoding and figures run on the processor, whatever this says. A training may be resumed on
-    /// another device; bit for bit it goes on only on its own.
+    /// delivery (a note says so), encoding and figures run on the processor, whatever this says. A training
+    /// may be resumed on another device; bit for bit it goes on only on its own.
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
     pub device: DeviceName,
     /// Steps between checkpoints; of --delivery updates, at most 20.
     #[arg(long, default_value_t = 2000, value_parser = whole::<u32>(1..=10_000_000, "steps"))]
     pub checkpoint_every: u32,
-    /// Times that quality is measured during training: 0 to 1000.
+    /// Times that quality is measured during training after its first step, where it is measured too: 0 to
+    /// 1000; 0: never.
     #[arg(long, default_value_t = EVALUATIONS, value_parser = whole::<u32>(0..=1000, "times"))]
     pub evaluations: u32,
     /// Fine-tune for what delivery leaves: reconstruction, iid, burst-cvar, mixed, or a JSON file of options.

@@ -20,9 +20,16 @@ use crate::{
     figures::counted,
     files,
     output::VerbOutput,
-    pipeline::{Frames, LeftOut, Quiet, note_of},
+    pipeline::{Frames, LeftOut, Quiet, UP_HINT, note_of},
     progress::Progress,
 };
+
+/// Share of the work that is done when editing begins, about.
+const EDITING: f64 = 0.3;
+/// And when it ends.
+const EDITED: f64 = 0.5;
+/// And when it ends with a decimation, which takes longer than the rest.
+const DECIMATED: f64 = 0.8;
 
 /// Runs the verb.
 pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
@@ -34,13 +41,14 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     let (alone, only) = (alone(args, output).then_some(only), only);
     let (scene, alone_of) = read(&args.input, &args.scene, alone, &progress, &mut |w| warnings.push(w))?;
-    progress.stage("editing", 0.3);
+    progress.stage("editing", EDITING);
     let before = (scene.max_count(), scene.frames());
     let scene = edited(args, scene, &progress, &mut warnings)?;
     let damaged = !warnings.is_empty();
-    progress.stage("turning", 0.5);
+    let done = if args.decimate.is_some() { DECIMATED } else { EDITED };
+    progress.stage("turning", done);
     let (scene, turned) = turned(args, scene, output.default_up())?;
-    progress.stage("writing", 0.6);
+    progress.stage("writing", done + 0.1);
     let degree = scene.epochs().iter().map(|epoch| epoch.attributes().sh_degree).max().unwrap_or_default();
     warnings.extend(output.losses(degree, scene.footprint));
     let count = alone_of.unwrap_or(scene.frames() as u32);
@@ -159,7 +167,9 @@ fn edited(
     for other in &args.merge {
         let (mut other_scene, _) =
             read(other, &as_written, None, progress, &mut |w| warnings.push(w)).context("--merge")?;
-        other_scene.notes.iter_mut().for_each(|note| *note = note_of(other, note));
+        // The option is of the input.
+        let said = |note: &str| note_of(other, note.trim_end_matches(UP_HINT));
+        other_scene.notes.iter_mut().for_each(|note| *note = said(note));
         let turn = turn_between(other_scene.up, scene.up);
         let other_scene =
             edit::transform(&other_scene, &Similarity { rotation: turn, ..Similarity::default() })?;
@@ -172,7 +182,8 @@ fn edited(
         scene = edit::filter(&scene, condition)?;
     }
     if let Some(share) = args.decimate {
-        scene = edit::decimate(&scene, share)?;
+        let mut heard = |done: f64| progress.stage("decimating", EDITING + (DECIMATED - EDITING) * done);
+        scene = edit::decimate(&scene, share, &mut heard)?;
     }
     if let Some(by) = &args.transform {
         // What was up stays up in the numbers that follow: a turn is meant to be seen.

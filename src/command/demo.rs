@@ -51,22 +51,37 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
     files::write(&figures, serde_json::to_string_pretty(&json)?.as_bytes())?;
     let mut text = format!("{}\n", page.title);
     text += &format!(
-        "  {:17} {:>9} {:>7} {:>8} {:>9} {:>9} {:>7} {:>11}\n",
-        "scheduler", "startup", "miss", "utility", "PSNR", "worst 10%", "SSIM", "wasted"
+        "  {:17} {:>8} {:>9} {:>7} {:>6} {:>7} {:>6} {:>8} {:>6} {:>7} {:>10}\n",
+        "scheduler",
+        "PSNR",
+        "worst 10%",
+        "D",
+        "SSIM",
+        "flicker",
+        "frozen",
+        "startup",
+        "miss",
+        "utility",
+        "wasted"
     );
     for run in &page.runs {
         text += &format!(
-            "  {:17} {:>9} {:>6.1}% {:>8.3} {:>6.2} dB {:>6.2} dB {:>7.4} {:>7.1} KiB\n",
+            "  {:17} {:>5.2} dB {:>6.2} dB {:>7.5} {:>6.4} {:>7.5} {:>6} {:>8} {:>5.1}% {:>7.3} {:>6.1} \
+             KiB\n",
             run.name,
+            run.mean_psnr_db,
+            run.tail_psnr_db,
+            run.distortion,
+            run.mean_ssim,
+            run.flicker,
+            run.frozen_frames,
             run.delivery.startup_ms.map_or("never".into(), |ms| format!("{ms:.0} ms")),
             100.0 * run.delivery.miss_rate,
             run.delivery.utility,
-            run.mean_psnr_db,
-            run.tail_psnr_db,
-            run.mean_ssim,
             run.delivery.waste.total_bytes() as f64 / 1024.0
         );
     }
+    text += "  D: mean of MSE + 0.20 (1 - SSIM); flicker: share of the range; frozen: frames\n";
     for run in &page.runs {
         text += &format!(
             "  {:17} {}{}, limited by {}\n",
@@ -153,6 +168,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
             name: report.policy.clone(),
             mean_psnr_db: mean(&psnr),
             tail_psnr_db: evaluator::worst_tenth(&psnr),
+            distortion: seen.distortion(),
             mean_ssim: mean(&ssim),
             flicker: seen.flicker(),
             frames: rows,

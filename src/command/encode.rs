@@ -170,7 +170,8 @@ fn said(
     }
     if let Some(views) = report.reached.and_then(|reached| reached.views) {
         text += &format!(
-            "  measured on {} from {}, pictures of {} × {}, of which the scene covers {:.1} %\n",
+            "  measured on {} from {}, pictures of {} × {}, of which the scene covers {:.1} %; each counts \
+             by the share that is covered\n",
             counted(views.frames, "frame"),
             cameras.unwrap_or_default(),
             views.width,

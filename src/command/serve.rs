@@ -44,6 +44,10 @@ const UNIMPAIRED: &str = "--impair is in front of UDP; pages that come by WebSoc
                           what is lost before anybody sees it) or fetch the file have no such link; \
                           ?transport=live holds them to WebTransport";
 
+/// What the addresses that are printed are for.
+const FOR_PROGRAMS: &str = "for dgs play, and for dgs view --window:";
+const FOR_BROWSERS: &str = "for a browser, the page that plays it:";
+
 /// A file lies by level.
 const NOT_BY_WINDOW: &str = "warning: packets of windows that were over came on standard input: viewers are \
                              shown a stream that grows from its newest window on; dgs cut FILE - --live \
@@ -256,11 +260,17 @@ async fn serve(
         None => None,
     };
     // At once: whoever started this waits for it. With --json standard output is for the end.
-    for url in urls.iter().chain(&page) {
-        if quiet.0 {
-            output::print_status(&format!("serving {url}"))
-        } else {
-            output::print(&format!("{url}\n"))?
+    // Standard output has addresses alone, for programs that read them.
+    for (whom, addresses) in [(FOR_PROGRAMS, urls.as_slice()), (FOR_BROWSERS, page.as_slice())] {
+        if !quiet.0 && !addresses.is_empty() {
+            output::print_status(whom);
+        }
+        for address in addresses {
+            if quiet.0 {
+                output::print_status(&format!("serving {address}"));
+            } else {
+                output::print(&format!("{address}\n"))?;
+            }
         }
     }
     let mut viewers = VecDeque::new();

@@ -60,7 +60,8 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     let best = if is_model { link.best_possible(&report, &graph) } else { None };
     let freezes = pipeline::freezes(&report, &graph);
     let mut text = format!(
-        "{} over {}\n  startup {}, miss {:.1} % (base {:.1} %), utility {:.3}{}\n  \
+        "{} over {}\n  startup {}, miss {:.1} % (of positive utility {:.1} %, base {:.1} %), \
+         utility {:.3}{}\n  \
          limited by {limit}\n  \
          goodput {} kbit/s, usable {} kbit/s, wasted {:.1} KiB, {} of {} frames shown, {}, {} \
          recovered by repair\n  lost {lost}{}{}\n",
@@ -68,6 +69,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         link.description,
         startup(&report),
         100.0 * report.miss_rate,
+        100.0 * report.positive_miss_rate,
         100.0 * report.base_miss_rate,
         report.utility,
         best.map_or(String::new(), |best| format!(" (at most {best:.3} by any schedule)")),
@@ -90,6 +92,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         "link_capacity_mean_bps": mean_rate.map(|rate| rate.0),
         "limit": limit,
         "utility_bound": best,
+        "positive_miss_rate": report.positive_miss_rate,
         "lost_datagrams": { "queue": lost.queue, "way": lost.way },
         "one_way_delay_ms": report.one_way_delay.map(|[median, tail]| {
             json!({ "median": median.as_ms(), "p95": tail.as_ms() })
@@ -107,6 +110,8 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         );
         json["seen"] =
             json!({ "mean_psnr_db": mean, "worst_tenth_psnr_db": worst_tenth, "located": !args.no_pose });
+    } else {
+        text += "  pictures were not compared; --eye, --turntable or --cameras (a viewer) adds their PSNR\n";
     }
     if let Some(out) = &args.out {
         text += &saved(out, &stream, arrived.as_deref(), &mut json)?;

@@ -95,7 +95,8 @@ fn said(summary: Option<&Summary>, missing: usize) -> String {
         return format!("  no summary yet: {missing} batches are missing\n");
     };
     let mut text = format!(
-        "  means; in brackets the paired difference from {}{}\n",
+        "  means (positive_miss: groups of positive utility alone); in brackets the paired difference from \
+         {}{}\n",
         summary.baseline,
         if summary.comparisons.iter().any(has_interval) {
             " with its 95 % interval, by trace, then window"
@@ -136,11 +137,12 @@ fn line(comparison: &Comparison, baseline: &str) -> String {
         count => format!(", startup not reached in {count}"),
     };
     format!(
-        "    {:10} {:22}  {} ms  {} %  {}  [{} runs{not_reached}]\n",
+        "    {:10} {:22}  {} ms  {} %  {} %  {}  [{} runs{not_reached}]\n",
         comparison.controller,
         comparison.scheduler,
         column("startup_ms", 1.0, 0),
         column("miss", 100.0, 2),
+        column("positive_miss", 100.0, 2),
         column("utility", 1.0, 4),
         comparison.simulations
     )

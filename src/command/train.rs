@@ -43,6 +43,7 @@ use self::{
 };
 use crate::{
     args::{DeviceName, train::Train},
+    figures::Machine,
     files,
     output::{self, VerbOutput},
     pipeline::{self, Quiet},
@@ -83,7 +84,11 @@ pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     let loading = Progress::new("read the dataset", quiet.0);
     let input = load(args, max_side)?;
     drop(loading);
-    let output = train(args, &input, resumed, delivery.as_ref(), &backend, quiet)?;
+    let mut output = train(args, &input, resumed, delivery.as_ref(), &backend, quiet)?;
+    if let Some(bytes) = Machine::peak_memory_bytes("self") {
+        output.text += &format!("  peak memory {:.0} MB\n", bytes as f64 / 1e6);
+        output.json["peak_memory_bytes"] = json!(bytes);
+    }
     Ok(VerbOutput { damaged: input.damaged || output.damaged, ..output })
 }
 
@@ -127,7 +132,7 @@ fn train(
         let rate = rate.unwrap_or_else(|| args.scene.frames_per_second());
         check_size(args, trained_for, (args.frames.unwrap_or(dataset.frames), rate))?;
     }
-    let _lock = folder.open(args)?;
+    let _opened = folder.open(args)?;
     let stop = Interruption::watch();
     if let (Some(scene), Some(options)) = (scene, delivery) {
         return delivery::run(args, &folder, scene, dataset, options, &stop, quiet);
@@ -159,6 +164,8 @@ fn train(
         let mut log = if args.resume { Log::resumed(&folder.log, trainer.steps())? } else { Log::default() };
         log.notes.extend_from_slice(&input.notes);
         log.notes.extend(changes);
+        log.notes.extend(delivery.and_then(delivery::tail_in_words));
+        log.notes.extend(delivery.and_then(|_| delivery::device_in_words(&backend.name())));
         let ended = fit(args, &folder, dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
         let trained = Trained::of(&trainer, dataset, args)?;
         finish(args, &folder, dataset, (&trained, &log, ended), with, &stop, quiet)?

@@ -6,9 +6,11 @@
 //! finished.
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     fs::{self, File},
+    io,
     path::{Path, PathBuf},
+    process::{Child, ExitStatus},
     sync::{Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
@@ -43,9 +45,55 @@ impl Drop for Unfinished {
     }
 }
 
-/// Removes what this process has under temporary names. For the last moment of a process: what is being
-/// written then fails.
+/// Programs that write under temporary names of this process, by their numbers.
+static WRITERS: Mutex<BTreeMap<u32, Child>> = Mutex::new(BTreeMap::new());
+
+fn writers() -> MutexGuard<'static, BTreeMap<u32, Child>> {
+    WRITERS.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A program that writes under a temporary name of this process. It is ended where this is dropped before its
+/// end, so that nothing is written to what is then removed, nor under its name again.
+#[derive(Debug)]
+pub(crate) struct Writer(u32);
+
+impl Writer {
+    /// `child`, which has just been started.
+    pub(crate) fn new(child: Child) -> Self {
+        let id = child.id();
+        writers().insert(id, child);
+        Self(id)
+    }
+
+    /// How it has ended; `None` while it runs. Whoever asks while the process is being ended waits for that.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub(crate) fn ended(&self) -> io::Result<Option<ExitStatus>> {
+        writers().get_mut(&self.0).map_or(Ok(None), Child::try_wait)
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        if let Some(mut child) = writers().remove(&self.0) {
+            end(&mut child);
+        }
+    }
+}
+
+fn end(child: &mut Child) {
+    // One that has ended by itself is as good.
+    let _ = child.kill().and_then(|()| child.wait());
+}
+
+/// Removes what this process has under temporary names, and ends the programs that write there. For the last
+/// moment of a process: what is being written then fails.
 pub(crate) fn remove_unfinished() {
+    let mut writers = writers();
+    writers.values_mut().for_each(end);
+    // Held to the end: nobody finds a program ended and takes that for its failure.
+    std::mem::forget(writers);
     for path in unfinished().iter() {
         // Another thread may add to a folder while it is removed.
         for _ in 0..3 {
@@ -109,6 +157,33 @@ mod tests {
     fn age(path: &Path) {
         let then = SystemTime::now() - Duration::from_secs(3600);
         File::open(path).unwrap().set_modified(then).unwrap();
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_program_that_is_not_waited_for_is_ended() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("late");
+        let started = |script: &str| {
+            let mut shell = std::process::Command::new("sh");
+            shell.args(["-c", script, "sh"]).arg(&path).stdin(std::process::Stdio::piped());
+            let mut child = shell.spawn().unwrap();
+            let pipe = child.stdin.take();
+            (Writer::new(child), pipe)
+        };
+        // As ffmpeg does, it writes once there is no more to read.
+        let (writer, pipe) = started("read line; echo late > \"$1\"");
+        assert_eq!(writer.ended().unwrap(), None);
+        drop(writer);
+        drop(pipe);
+        std::thread::sleep(Duration::from_millis(200));
+        assert!(!path.exists());
+        let (writer, pipe) = started("read line; echo late > \"$1\"");
+        drop(pipe);
+        while writer.ended().unwrap().is_none() {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        assert!(path.exists());
     }
 
     #[cfg(unix)]

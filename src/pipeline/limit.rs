@@ -1,6 +1,6 @@
 //! Says what kept a run from showing more: the link, losses, congestion control, or the deadline.
 
-use emulator_host::{Nanos, PacketGraph, Report, bound::upper_bound, link::Capacity, session::Freezes};
+use emulator_host::{Nanos, PacketGraph, Report, bound::UpperBound, link::Capacity, session::Freezes};
 
 use super::link::Link;
 
@@ -14,11 +14,6 @@ const DATAGRAM_BYTES: u64 = 1200;
 const OPPORTUNITY_BYTES: u64 = 1500;
 /// Share of lost datagrams, or of packets that were never sent or came late, from which on they matter.
 const NOTABLE: f64 = 0.01;
-
-/// Packets up to which the best possible is computed: seconds of one core at most.
-const MAX_BOUND_PACKETS: usize = 4000;
-/// Steps of the solver; the bound holds after any number.
-const BOUND_STEPS: u32 = 300;
 
 /// How often what was shown stood still for want of its base, in the run that `report` tells of.
 pub(crate) fn freezes(report: &Report, graph: &PacketGraph) -> Freezes {
@@ -69,15 +64,11 @@ fn is_queue(label: &str) -> bool {
 
 impl Link {
     /// A bound on [`Report::utility`] that no schedule passes over this link with playout that starts as it
-    /// did in `report`, a run of the model. `None` if playout never began, if the delay varies, or if `graph`
-    /// has too many packets for it.
+    /// did in `report`, a run of the model; looser for large graphs, which take no longer
+    /// ([`UpperBound::in_bounded_time`]). `None` if playout never began.
     pub fn best_possible(&self, report: &Report, graph: &PacketGraph) -> Option<f64> {
-        let path = &self.config.forward;
-        if graph.packets().len() > MAX_BOUND_PACKETS || path.delay_trace.is_some() {
-            return None;
-        }
         let start = Nanos((report.startup_ms? * 1e6).round() as u64);
-        Some(upper_bound(graph, path, start, BOUND_STEPS).utility)
+        Some(UpperBound::in_bounded_time(graph, &self.config.forward, start).utility)
     }
 
     /// What kept the run of `graph` that `report` tells of from showing more, in words.
@@ -147,6 +138,7 @@ mod tests {
         graph::Synthetic,
         link::{LossModel, PathConfig, QueueLimit},
         simulate,
+        trace::{DelayTrace, Limits},
     };
 
     use super::*;
@@ -183,5 +175,23 @@ mod tests {
         assert_eq!(unlimited, "not the link (it has no limit of rate)");
         let short = limit_of(4000, 5000, &|path| path.queue = QueueLimit { bytes: 3000, datagrams: 2 });
         assert!(!short.starts_with("deadline"), "{short}");
+    }
+
+    /// Of more than 4,000 packets, and where delays follow a trace.
+    #[test]
+    fn the_best_possible_is_known_of_large_graphs_and_over_varying_delays() {
+        let spec = Synthetic { frames: 300, rate: Rate::from_mbps(8), ..Synthetic::default() };
+        let graph = spec.build(1).unwrap();
+        assert!(graph.packets().len() > 4000, "{}", graph.packets().len());
+        let delays = DelayTrace::load(b"40\n90\n", Nanos::from_ms(200), &Limits::default()).unwrap();
+        let capacity = Capacity::Constant(Rate::from_mbps(1));
+        let forward = PathConfig { capacity, delay_trace: Some(delays), ..PathConfig::default() };
+        let config = SessionConfig { forward, ..SessionConfig::default() };
+        let report = simulate(&graph, &config).unwrap();
+        let link = Link { config, description: String::new(), warnings: Vec::new() };
+        let best = link.best_possible(&report, &graph).unwrap();
+        assert!(report.utility <= best && best < 0.99, "{} {best}", report.utility);
+        let never = Report { startup_ms: None, ..report };
+        assert_eq!(link.best_possible(&never, &graph), None);
     }
 }

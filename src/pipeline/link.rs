@@ -67,7 +67,10 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
         None => 1.0,
     };
     warnings.extend(args.unused());
-    let trace = scaled(&trace, scale).context("--scale")?;
+    let trace = scaled(&trace, scale).with_context(|| {
+        let file = args.trace.as_ref().map(|path| path.display().to_string());
+        format!("--scale {scale:?}: {}", file.as_deref().unwrap_or(trace.name()))
+    })?;
     let delay = args
         .delay_ms
         .map(Nanos::from_ms)
@@ -183,15 +186,26 @@ fn playout_capacity(trace: &Trace, graph: &PacketGraph) -> Bytes {
 }
 
 /// `trace` with `factor` times the capacity.
+///
+/// # Errors
+/// A mean rate that is too high, or no capacity left: what it would be, and what is allowed.
 fn scaled(trace: &Trace, factor: f64) -> Result<Trace> {
     const PARTS: u64 = 1_000_000_000;
     if factor == 1.0 {
         return Ok(trace.clone());
     }
-    let wanted = trace.mean_rate().0 as f64 * factor;
-    let most = trace::MAX_RATE.0 as f64;
-    ensure!(wanted <= most, "the mean rate would be {wanted:.3e} bit/s, allowed up to {most:.0e}");
-    Ok(trace.scaled((factor * PARTS as f64).round() as u64, PARTS)?)
+    let mean = trace.mean_rate().0.max(1) as f64;
+    let (wanted, most) = (mean * factor, trace::MAX_RATE.0 as f64);
+    let least_factor = (1.0 / mean).max(1.0 / PARTS as f64);
+    let refusal = || {
+        format!(
+            "the mean rate would be {wanted:.3e} bit/s, allowed are 1 to {most:.0e} bit/s, factors of about \
+             {least_factor:.1e} to {:.1e}",
+            most / mean
+        )
+    };
+    ensure!(wanted <= most, refusal());
+    trace.scaled((factor * PARTS as f64).round() as u64, PARTS).with_context(refusal)
 }
 
 /// A session over `forward`.
@@ -296,6 +310,7 @@ fn controller(name: ControllerName) -> ControllerKind {
         ControllerName::Cubic => ControllerKind::Cubic,
         ControllerName::BbrModel => ControllerKind::BbrModel,
         ControllerName::Scream => ControllerKind::Scream,
+        ControllerName::BbrPaper => ControllerKind::BbrPaper,
     }
 }
 
@@ -362,6 +377,18 @@ mod tests {
         assert!(doubled.warnings.iter().any(|warning| warning.contains("idle")), "{:?}", doubled.warnings);
         let error = link(&typed(&["--trace", &steady, "--scale", "1e30"]), &graph(30)).unwrap_err();
         assert!(format!("{error:#}").contains("the mean rate would be 1.200e37 bit/s"), "{error:#}");
+        assert!(format!("{error:#}").starts_with(&format!("--scale 1e30: {steady}: the mean")), "{error:#}");
+        let error = link(&typed(&["--trace", &steady, "--scale", "1e-9"]), &graph(30)).unwrap_err();
+        let said = format!("{error:#}");
+        assert!(
+            said.starts_with(&format!("--scale 1e-9: {steady}: the mean rate would be 1.200e-2")),
+            "{said}"
+        );
+        let allowed = "allowed are 1 to 1e12 bit/s, factors of about 8.3e-8 to 8.3e4";
+        assert!(said.contains(allowed) && said.ends_with("no capacity"), "{said}");
+        link(&typed(&["--trace", &steady, "--scale", "8.4e-8"]), &graph(30)).unwrap();
+        let error = link(&typed(&["--scale", "1e-9"]), &graph(30)).unwrap_err();
+        assert!(format!("{error:#}").starts_with("--scale 1e-9: bursty"), "{error:#}");
         let backward = link(&typed(&["--trace", &file("pitree-1", "0 1\n1 2\n")]), &graph(30)).unwrap();
         assert!(backward.warnings[0].contains("pitree"), "{:?}", backward.warnings);
     }

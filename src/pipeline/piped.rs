@@ -9,9 +9,13 @@ use std::{
 };
 
 use anyhow::{Context, Result, bail};
+use codec_core::internals::wire::file::MAGIC;
 
 /// Most bytes that are read from a pipe.
 const MAX_BYTES: u64 = 2 << 30;
+/// Most bytes that are read of what does not begin as a stream does, so that it can be named: a device may
+/// give them without end.
+const LOOKED_AT: u64 = 1 << 20;
 /// The name of standard input.
 const STANDARD_INPUT: &str = "-";
 
@@ -27,7 +31,7 @@ pub(crate) fn is_piped(path: &Path) -> bool {
         || fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir())
 }
 
-/// The bytes of file or pipe `path`.
+/// The bytes of file or pipe `path`; of a pipe or a device that does not begin as a stream does, the first.
 ///
 /// # Errors
 /// What cannot be read, or a pipe with more than 2 GiB.
@@ -45,14 +49,35 @@ pub(crate) fn bytes(path: &Path) -> Result<Arc<Vec<u8>>> {
 }
 
 fn once(path: &Path) -> io::Result<Arc<Vec<u8>>> {
-    let mut bytes = Vec::new();
     if path == Path::new(STANDARD_INPUT) {
-        io::stdin().lock().take(MAX_BYTES + 1).read_to_end(&mut bytes)?;
+        all_of_a_stream(io::stdin().lock())
     } else {
-        fs::File::open(path)?.take(MAX_BYTES + 1).read_to_end(&mut bytes)?;
+        all_of_a_stream(fs::File::open(path)?)
     }
+}
+
+/// All bytes of `input`, if it begins as a stream does; else the first.
+fn all_of_a_stream(mut input: impl Read) -> io::Result<Arc<Vec<u8>>> {
+    let mut bytes = Vec::new();
+    input.by_ref().take(MAGIC.len() as u64).read_to_end(&mut bytes)?;
+    let most = if bytes == MAGIC { MAX_BYTES + 1 } else { LOOKED_AT };
+    input.take(most).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > MAX_BYTES {
         return Err(io::Error::other(format!("found more than {MAX_BYTES} bytes, the most of a pipe")));
     }
     Ok(Arc::new(bytes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_begins_as_a_stream_is_read_to_its_end() {
+        let long = MAGIC.iter().copied().chain(std::iter::repeat_n(7, 3 << 20)).collect::<Vec<u8>>();
+        assert_eq!(*all_of_a_stream(&long[..]).unwrap(), long);
+        let endless = all_of_a_stream(io::repeat(0)).unwrap();
+        assert_eq!(endless.len() as u64, LOOKED_AT + MAGIC.len() as u64);
+        assert_eq!(*all_of_a_stream(&b"ply"[..]).unwrap(), b"ply");
+    }
 }

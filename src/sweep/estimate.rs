@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use crate::figures::Machine;
+
 /// What one batch took.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cost {
@@ -41,8 +43,8 @@ impl Progressed {
         let factor = whole as f64 / run as f64;
         let bytes: u64 = self.costs.iter().map(|cost| cost.bytes).sum();
         let thread: Duration = self.costs.iter().map(|cost| cost.simulated).sum();
-        let memory =
-            peak_memory_bytes().map_or("unknown".to_owned(), |bytes| format!("{:.0} MB", bytes as f64 / 1e6));
+        let memory = Machine::peak_memory_bytes("self");
+        let memory = memory.map_or("unknown".to_owned(), |bytes| format!("{:.0} MB", bytes as f64 / 1e6));
         Some(format!(
             "{run} of {whole} simulations took {:.1} s, {:.1} ms of a thread each; all of them: {} on this \
              machine, {:.0} MB of results; peak memory {memory}",
@@ -60,13 +62,6 @@ fn duration(seconds: f64) -> String {
         s if s < 7200.0 => format!("{:.0} min", s / 60.0),
         s => format!("{:.1} h", s / 3600.0),
     }
-}
-
-/// Largest memory of this process so far, where the system says it.
-fn peak_memory_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
 }
 
 #[cfg(test)]

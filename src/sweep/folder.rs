@@ -120,8 +120,18 @@ impl Folder {
     /// Opens or makes `path` for results of `origin`.
     ///
     /// # Errors
-    /// A folder of another configuration or of other traces, or one that cannot be made.
+    /// A folder of another configuration or of other traces, one with files of other programs in the places
+    /// of what follows from batches, or one that cannot be made.
     pub(crate) fn open(path: &Path, origin: &Origin, trajectories: bool) -> Result<Self> {
+        // Processes that share the folder write the configuration first: it is looked for last.
+        if let Some(file) = [RUNS, SUMMARY].map(|name| path.join(name)).iter().find(|file| file.exists()) {
+            ensure!(
+                path.join(CONFIG).exists(),
+                "{}: is there already, and no {CONFIG} beside it that makes it of a sweep; another folder is \
+                 needed",
+                file.display()
+            );
+        }
         for folder in [path.to_owned(), path.join("runs"), path.join("trajectories")] {
             let failed = || format!("{}: cannot make this folder", folder.display());
             fs::create_dir_all(&folder).with_context(failed)?;

@@ -53,6 +53,13 @@ fn a_stream_is_sent_over_a_described_link() {
         count("way")
     );
     assert!(text.contains(&said) && text.contains("; one way "), "{said}: {text}");
+    // Without a table all groups count the same, and none of them harms.
+    let [positive, all] =
+        [&json["positive_miss_rate"], &json["report"]["miss_rate"]].map(|v| v.as_f64().unwrap());
+    assert!(
+        (positive - all).abs() < 1e-12 && text.contains("(of positive utility "),
+        "{positive} {all}: {text}"
+    );
     assert!(delay["median"].as_f64() >= Some(35.0) && delay["p95"].as_f64() >= delay["median"].as_f64());
     // What no schedule passes: less where the link carries less; not computed for another transport.
     let bounded = |options: &[&str]| {

@@ -1,8 +1,10 @@
 //! `dgs train` on photographs that are larger than what is trained on.
 
-use std::{fs, process::Command};
+use std::{fs, path::Path, process::Command};
 
 use render_host::Image;
+
+use super::dgs;
 
 /// Photographs of 24 MB each once they are decoded, 24 of them.
 #[test]
@@ -33,4 +35,80 @@ fn large_photographs_are_not_all_in_memory_at_once() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(text.contains("at twice the size") && text.contains("300 x "), "{text}");
+}
+
+/// A folder in which nothing was trained is not there afterwards, whatever the reason.
+#[test]
+fn what_cannot_begin_leaves_no_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    fs::create_dir(at.join("d")).unwrap();
+    fs::write(at.join("d/train_meta.json"), r#"{"w": 16, "h": 12, "k": [], "w2c": [], "fn": []}"#).unwrap();
+    // More Gaussians over all frames than a checkpoint holds are only known once the folder is there.
+    let many = ["train", "synth:balls:1000:12", "-o", "out", "--gaussians", "5000000", "--split", "0"];
+    let many = [&many[..], &["--side", "16", "--cameras", "1"]].concat();
+    for (args, named) in [
+        (&["train", "d", "-o", "out"][..], "train_meta.json: fn is empty; at least 1 photograph"),
+        (&many[..], "--gaussians is 5000000 over 12 frames"),
+    ] {
+        let output = dgs(at, args);
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(1) && error.contains(named), "{error}");
+        assert!(!at.join("out").exists(), "{args:?}");
+    }
+}
+
+/// Photographs in a ring around nothing.
+fn write_ring(folder: &Path) {
+    fs::create_dir(folder).unwrap();
+    let picture = Image::filled(64, 64, [0.4, 0.5, 0.1]).unwrap();
+    fs::write(folder.join("r.png"), picture.to_png().unwrap()).unwrap();
+    let frame = |k: u32| {
+        let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 5.0).sin_cos();
+        format!(
+            r#"{{"file_path": "r.png", "transform_matrix":
+            [[{cos}, 0, {sin}, {}], [0, 1, 0, 0], [{}, 0, {cos}, {}], [0, 0, 0, 1]]}}"#,
+            4.0 * sin,
+            -sin,
+            4.0 * cos
+        )
+    };
+    let frames: Vec<String> = (0..5).map(frame).collect();
+    let text = format!(r#"{{"camera_angle_x": 0.7, "frames": [{}]}}"#, frames.join(","));
+    fs::write(folder.join("transforms_train.json"), text).unwrap();
+}
+
+/// Memory, a tail of less than one world, and a device that does not fine-tune are said, the last where one
+/// is there.
+#[test]
+fn what_a_training_takes_and_what_its_objective_is_of_are_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    write_ring(&at.join("set"));
+    let config = r#"{"updates": 1, "worlds": 2, "validation": {"every": 4, "states": 1, "candidates": 1}}"#;
+    fs::write(at.join("config.json"), config).unwrap();
+    let args = ["train", "set", "-o", "out", "--pictures", "0", "--references", "5", "--overwrite"];
+    let more = ["--steps", "20", "--nodes", "0", "--gaussians", "200", "--delivery", "config.json"];
+    let args = [&args[..], &more].concat();
+    let output = dgs(at, &args);
+    let (text, heard) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{heard}");
+    assert!(heard.contains("weights.cvar_fraction is 0.05, less than one of 2 worlds per update"), "{heard}");
+    assert!(heard.contains("1/2 of them") && !heard.contains("runs on the processor"), "{heard}");
+    let tells = fs::read_to_string("/proc/self/status").is_ok_and(|status| status.contains("VmHWM:"));
+    assert_eq!(text.contains("  peak memory "), tells, "{text}");
+
+    let output = dgs(at, &[&args[..], &["--device", "gpu", "--json"]].concat());
+    if !output.status.success() {
+        let heard = String::from_utf8_lossy(&output.stderr);
+        assert!(heard.contains("--device"), "{heard}");
+        eprintln!("SKIPPED: {heard}");
+        return;
+    }
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let notes: Vec<&str> =
+        report["notes"].as_array().unwrap().iter().filter_map(|note| note.as_str()).collect();
+    let is_device = |note: &&&str| note.contains("fine-tuning runs on the processor (cpu)");
+    assert_eq!(notes.iter().filter(is_device).count(), 1, "{notes:?}");
+    assert_eq!(report["peak_memory_bytes"].as_u64().is_some_and(|bytes| bytes > 1 << 20), tells, "{report}");
 }

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use super::{ok, refused, train};
+use super::{dgs, ok, refused, train};
 
 /// Every rank is tried with every seed, one is taken by the rule that is written down, and none is measured
 /// again.
@@ -62,4 +62,30 @@ fn the_rank_is_chosen_by_validation() {
     assert!(error.contains("6 training views; at least 9"), "{error}");
     let both = train(at, &["-o", "x", "--delivery", "iid", "--choose-rank", "--rank", "3"]);
     assert_eq!(both.status.code(), Some(64), "{both:?}");
+}
+
+/// A sheet that waves in four modes, not all of them large: a basis that is too short for them costs much,
+/// and vectors that show nothing are not taken.
+#[test]
+fn a_sheet_of_four_modes_takes_as_many_vectors_as_show() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let config = r#"{"updates": 1, "worlds": 1, "learn_steps": false,
+        "validation": {"every": 4, "states": 2, "candidates": 1}}"#;
+    fs::write(at.join("config.json"), config).unwrap();
+    let args =
+        ["train", "synth:cloth:1000:12", "-o", "out", "--delivery", "config.json", "--references", "8"];
+    let small = ["--choose-rank", "--side", "32", "--cameras", "2", "--pictures", "0"];
+    let output = dgs(at, &[&args[..], &small].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let ranks: serde_json::Value =
+        serde_json::from_slice(&fs::read(at.join("out/ranks.json")).unwrap()).unwrap();
+    let rank = ranks["choice"]["rank"].as_u64().unwrap();
+    assert!((2..=4).contains(&rank), "{ranks}");
+    let quality = |rank: u64| {
+        let own = ranks["results"].as_array().unwrap().iter().filter(|result| result["rank"] == rank);
+        own.map(|result| result["p10_db"].as_f64().unwrap()).sum::<f64>() / 3.0
+    };
+    assert!(quality(0) + 2.0 < quality(rank), "{ranks}");
+    assert!(quality(1) + 0.2 < quality(rank), "{ranks}");
 }

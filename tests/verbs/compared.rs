@@ -192,4 +192,5 @@ fn notes_name_the_scene_that_they_are_of() {
     let merge = ["convert", "a.ply", "c.ply", "--merge", "b.spz", "--up", "z"];
     let said = json(at, &merge)["notes"].to_string();
     assert!(said.contains("b.spz: up is taken to be y") && !said.contains("a.ply: up"), "{said}");
+    assert!(!said.contains("--up says otherwise"), "not of what is merged: {said}");
 }

@@ -15,6 +15,15 @@ const SWALLOWS_DATAGRAMS: &str = "if (globalThis.WebTransport) {\
         maxDatagramSize: real.call(this).maxDatagramSize }; };\
     Object.defineProperty(WebTransport.prototype, 'datagrams', { get }); }";
 
+/// Which transport was the first, as a page remembers it for the next ones, and since when, milliseconds.
+const REMEMBERED: &str = "JSON.parse(localStorage.getItem('dgs-transport')).name";
+const REMEMBERED_AT: &str = "JSON.parse(localStorage.getItem('dgs-transport')).at";
+
+/// A page whose turns wait until `letGo()`: meanwhile its clock stands as where a picture takes long.
+const WITHOUT_TURNS: &str = "{ const real = requestAnimationFrame.bind(globalThis); const turns = [];\
+    globalThis.requestAnimationFrame = (turn) => turns.push(turn);\
+    globalThis.letGo = () => { globalThis.requestAnimationFrame = real; turns.splice(0).forEach(real); }; }";
+
 /// Share of blocks that are shown by stand-ins.
 const STAND_INS: &str = "(player.session.levels()[0] / player.session.levels().reduce((a, b) => a + b, 0))";
 
@@ -76,14 +85,28 @@ fn every_transport_brings_the_same_picture() {
     page.browser.wait(PAGE_TIMEOUT_S, "player.dataset.transport === 'streams'").unwrap();
     page.run("player.play(), 0");
     page.browser.wait(PAGE_TIMEOUT_S, "player.session.packets()[1] > 10").unwrap();
-    assert_eq!(page.run("sessionStorage.getItem('dgs-transport')"), "streams");
-    page.run("sessionStorage.clear(), 0");
+    assert_eq!(page.run(REMEMBERED), "streams");
+    // For a day, which trying it first does not make longer: what let nothing through may do so again.
+    let names = "(async () => { const { rungsOf } = await import('./ladder.js');\
+        return rungsOf({ name: 'small', web_address: 'https://a' }).map(({ name }) => name).join(); })()";
+    assert_eq!(page.run(names), "streams,live,websocket");
+    page.run(
+        "{ const kept = JSON.parse(localStorage.getItem('dgs-transport')); kept.at -= 25 * 3600e3;\
+         localStorage.setItem('dgs-transport', JSON.stringify(kept)); } 0",
+    );
+    assert_eq!(page.run(names), "live,websocket");
+    page.run("localStorage.clear(), 0");
     // Unless one is requested the best that works plays, and a page remembers it.
     page.browser.go("about:blank").unwrap();
     page.browser.before_pages("delete globalThis.WebTransport").unwrap();
     page.play(&format!("{}?pixel-ratio=1", live.page), SIDE);
     assert_eq!(page.run("player.dataset.transport"), "websocket");
-    assert_eq!(page.run("sessionStorage.getItem('dgs-transport')"), "websocket");
+    assert_eq!(page.run(REMEMBERED), "websocket");
+    let at = page.number(REMEMBERED_AT);
+    page.browser.go("about:blank").unwrap();
+    page.play(&format!("{}?pixel-ratio=1&again", live.page), SIDE);
+    assert_eq!(page.run("player.dataset.transport"), "websocket");
+    assert_eq!(page.number(REMEMBERED_AT), at, "its day goes on");
     page.browser.go("about:blank").unwrap();
     let report = live.stop();
     assert!(report.contains("(0 refused)"), "{report}");
@@ -127,6 +150,56 @@ fn a_page_changes_the_link_and_the_scheduler_of_its_session() {
     page.close();
 }
 
+/// A clock that stands has no deadlines: what playing had left out comes, and nothing that is shown goes, even
+/// where rounds begin with nothing.
+#[test]
+fn a_paused_page_goes_on_refining() {
+    let Some(mut page) = Page::blank_alone() else { return };
+    let live = served::Live::start(&["--idle", "120"]);
+    page.play(&format!("{}?transport=live&pixel-ratio=0.25&paused", live.page), SIDE / 4);
+    page.run(&format!(
+        "globalThis.held = null; player.loop = false; player.addEventListener('pause', () => {{\
+           globalThis.least = player.session.packets()[1]; held = [{STAND_INS}, least];\
+           setInterval(() => (least = Math.min(least, player.session.packets()[1])), 20); }}); 0"
+    ));
+    // The base takes several times as long as the clip: its end, where the clock stops, comes before.
+    page.run("player.impair({ rate: 1e4 }).then(() => 0)");
+    page.run("player.play(), 0");
+    page.browser.wait(PAGE_TIMEOUT_S, "held !== null && player.ended").unwrap();
+    assert!(page.number("held[0]") > 0.0, "the base was there before the clock stopped");
+    page.browser.wait(PAGE_TIMEOUT_S, &format!("{STAND_INS} === 0")).unwrap();
+    assert_eq!(page.run("least === held[1]"), true, "what was shown is forgotten");
+    page.browser.go("about:blank").unwrap();
+    page.close();
+    let report = live.stop();
+    assert!(report.contains("(0 refused)"), "{report}");
+}
+
+/// A clock that waits for its first base has shown nothing. A server that took the first frame for shown would
+/// count its deadlines from there, and leave out what comes after them.
+#[test]
+fn what_a_clock_waits_for_is_not_late() {
+    let Some(mut page) = Page::blank_alone() else { return };
+    let live = served::Live::start(&["--impair", "rate=20kbit", "--idle", "120"]);
+    page.browser.before_pages(WITHOUT_TURNS).unwrap();
+    page.browser.go(&format!("{}?transport=live&pixel-ratio=0.25", live.page)).unwrap();
+    let playing = "(globalThis.player = document.querySelector('dgs-player'))?.session && !player.paused";
+    page.browser.wait(PAGE_TIMEOUT_S, &format!("Boolean({playing})")).unwrap();
+    // The clip has a second; all of its base comes in three.
+    std::thread::sleep(std::time::Duration::from_secs(12));
+    // What is there when the page first looks.
+    page.run(&format!(
+        "globalThis.first = null; const look = () => {{\
+           if (player.session.packets()[1] > 0) first = {STAND_INS};\
+           else setTimeout(look, 1); }}; look(), letGo(), 0"
+    ));
+    page.browser.wait(PAGE_TIMEOUT_S, "first !== null").unwrap();
+    assert_eq!(page.number("first"), 0.0);
+    page.browser.go("about:blank").unwrap();
+    page.close();
+    live.stop();
+}
+
 /// Who comes while a stream is written begins at its newest window.
 #[test]
 fn the_page_plays_what_is_still_being_written() {
@@ -139,6 +212,15 @@ fn the_page_plays_what_is_still_being_written() {
     // The third window of ten frames.
     page.browser.wait(PAGE_TIMEOUT_S, "player.session.frame === 20").unwrap();
     page.browser.wait(PAGE_TIMEOUT_S, &format!("{STAND_INS} === 0")).unwrap();
+    // A round begins there, too; but who pauses stays.
+    page.run(
+        "globalThis.stands = null; player.addEventListener('timeupdate', () => {\
+           if (player.paused || player.session.frame < 25) return;\
+           player.pause(), stands = player.session.frame; }); player.play(), 0",
+    );
+    page.browser.wait(PAGE_TIMEOUT_S, "stands !== null").unwrap();
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    assert_eq!(page.run("player.paused && player.session.frame === stands"), true);
     page.browser.go("about:blank").unwrap();
     page.close();
     let report = live.stop();

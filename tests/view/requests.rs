@@ -200,6 +200,10 @@ fn what_is_out_of_range_is_refused() {
            delay.value = 100; delay.dispatchEvent(new Event('input', { bubbles: true })); } 0",
     );
     assert_eq!(page.run("most"), "1000", "sliders reach what is allowed");
+    // It is the delay of one way, and says what that makes of a round trip.
+    let delay =
+        "[...player.shadowRoot.querySelector('.delay').labels].map((label) => label.textContent).join()";
+    assert_eq!(page.run(delay), "Delay, one way 100 ms\nRTT +100");
     let wanted = "['loss', 'burst', 'rate', 'delay', 'seed'].map((name) => wanted[name]).join()";
     assert_eq!(page.run(wanted), "0.705,60,123456789,0.1,1000");
     // So many are not lost in shorter runs.

@@ -68,9 +68,11 @@ fn faults_are_named_by_file_and_field() {
     assert!(text.contains("r_1: image of 16 x 16 pixels, camera of 16 x 12"), "{text}");
 
     let fresh = folder();
-    write_split(fresh.path(), "train", &[frame("./train/r_0", 1.5, MATRIX)]);
+    let times = [frame("./train/r_1", 0.5, MATRIX), frame("./train/r_0", 1.5, MATRIX)];
+    write_split(fresh.path(), "train", &times);
     let text = refusal(fresh.path());
-    assert!(text.contains("r_0: time is 1.5; 0 to 1 is allowed"), "{text}");
+    let named = "transforms_train.json: time of frame 1, ./train/r_0, is 1.5; 0 to 1 is allowed";
+    assert!(text.ends_with(named), "{text}");
 
     write_split(
         fresh.path(),
@@ -279,6 +281,13 @@ fn a_panoptic_dataset_is_read_camera_by_camera_and_refused_by_frame() {
     write("[]");
     let text = refusal(folder.path());
     assert!(text.contains("k and w2c of frame 0 is 0 and 1 cameras"), "{text}");
+    let path = folder.path().join("train_meta.json");
+    for none in ["[]", "[[],[]]"] {
+        let text = format!(r#"{{"w":16,"h":12,"k":{none},"w2c":{none},"fn":{none}}}"#);
+        fs::write(&path, text).unwrap();
+        let text = refusal(folder.path());
+        assert!(text.contains("train_meta.json: fn is empty; at least 1 photograph"), "{text}");
+    }
 }
 
 /// The real ones, where they are.

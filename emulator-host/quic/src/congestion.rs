@@ -38,13 +38,23 @@ pub enum CongestionControl {
 }
 
 impl CongestionControl {
-    /// The one that stands for `kind` of the emulator; the paper's model of BBR has none.
+    /// Name in reports, and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NewReno => "newreno",
+            Self::Cubic => "cubic",
+            Self::Bbr => "bbr",
+            Self::Scream => "scream",
+        }
+    }
+
+    /// The one that stands for `kind` of the emulator; the two models of the paper's BBR have none.
     pub(crate) fn of(kind: ControllerKind) -> Option<Self> {
         match kind {
             ControllerKind::NewReno => Some(Self::NewReno),
             ControllerKind::Cubic => Some(Self::Cubic),
             ControllerKind::Scream => Some(Self::Scream),
-            ControllerKind::BbrModel => None,
+            ControllerKind::BbrModel | ControllerKind::BbrPaper => None,
         }
     }
 

@@ -3,7 +3,7 @@
 //! The sender and the receiver of media are those of the model ([`emulator_host::session`]); under them lies
 //! a real transport with real TLS, so a run shows where the model of it is wrong. The manifest travels on a
 //! reliable stream, media in datagrams that are chosen one at a time when the last has left, receipts in
-//! datagrams back. No socket and no clock takes part.
+//! datagrams back; [`control_times`] sends control messages beside them. No socket and no clock takes part.
 //!
 //! The connection is set up over the bare delays of the path before the session's time begins, so that a
 //! link's trace starts at the same moment as in the model; [`handshake`] measures that part over the whole
@@ -13,6 +13,7 @@
 //! sizes and times do not.
 
 mod end;
+mod messages;
 mod receiving;
 mod run;
 mod sending;
@@ -21,7 +22,7 @@ mod wire;
 
 use emulator_host::{Nanos, SessionError};
 
-pub use run::{handshake, run, simulate};
+pub use run::{control_times, handshake, run, simulate, simulate_with};
 
 /// Why a run cannot be made.
 #[derive(Debug, thiserror::Error)]

@@ -2,7 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail like tests")]
 
-use dgs_quic::virtual_time::{self, VirtualError};
+use dgs_quic::{
+    CongestionControl,
+    virtual_time::{self, VirtualError},
+};
 use emulator_host::{
     ControllerKind, Nanos, PacketGraph, PolicyKind, Rate, Report, SessionConfig, Trace,
     graph::Synthetic,
@@ -50,6 +53,32 @@ fn the_same_seed_gives_the_same_run() {
         let other = SessionConfig { seed: 2, ..config.clone() };
         assert_ne!(first.digest, virtual_time::simulate(&graph, &other).unwrap().digest);
     }
+}
+
+#[test]
+fn the_transports_own_controllers_run_by_their_names() {
+    let graph = graph(2, 90);
+    let config = down(PathConfig::default());
+    let by_kind = virtual_time::simulate(&graph, &config).unwrap();
+    let by_name = virtual_time::simulate_with(&graph, &config, CongestionControl::NewReno).unwrap();
+    assert_eq!(by_kind, by_name);
+    let bbr = virtual_time::simulate_with(&graph, &config, CongestionControl::Bbr).unwrap();
+    check_sane(&bbr, &graph);
+    assert_eq!((bbr.controller.as_str(), by_name.controller.as_str()), ("bbr", "newreno"));
+}
+
+/// Over an empty path each takes the delay; all of them arrive, lost or not.
+#[test]
+fn control_messages_beside_media_are_timed() {
+    let graph = graph(1, 150);
+    let take = |forward| virtual_time::control_times(&graph, &down(forward), Nanos::from_ms(50)).unwrap();
+    let clean =
+        take(PathConfig { capacity: Capacity::Constant(Rate::from_mbps(40)), ..PathConfig::default() });
+    assert!(clean.len() > 50, "{}", clean.len());
+    let (delay, more) = (Nanos::from_ms(20), Nanos::from_ms(40));
+    assert!(clean.iter().all(|time| (delay..more).contains(time)), "{clean:?}");
+    let lossy = take(PathConfig { loss: LossModel::Iid(0.05), ..PathConfig::default() });
+    assert!(lossy.len() + 20 > clean.len() && lossy.iter().any(|time| *time > more), "{lossy:?}");
 }
 
 #[test]

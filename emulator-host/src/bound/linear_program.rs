@@ -4,6 +4,8 @@
 //! method starts again from the better of the current and the mean multipliers. A step is linear in the size
 //! of the program.
 
+use std::ops::Range;
+
 use crate::graph::{
     PacketGraph,
     pieces::{Contribution, Division, FrameSums, Pieces},
@@ -110,8 +112,9 @@ impl LinearProgram {
     ) -> Self {
         let Division { pieces, sums, .. } = division;
         let slots = graph.frames().div_ceil(slot_frames);
-        let mut capacity: Vec<f64> =
-            (1..=slots).map(|slot| capacity((slot * slot_frames).min(graph.frames()) - 1)).collect();
+        let mut capacity: Vec<f64> = (1..=slots)
+            .map(|slot| capacity(slot.saturating_mul(slot_frames).min(graph.frames()) - 1))
+            .collect();
         let of_frame = |frame: u32| (frame / slot_frames) as usize;
         let (mut spans, mut value) = (vec![None; pieces.len()], Vec::new());
         for (piece, span) in spans.iter_mut().enumerate() {
@@ -129,14 +132,12 @@ impl LinearProgram {
             value.resize(at + slots, 0.0);
             for slot in 0..slots {
                 let start = (first + slot) as u32 * slot_frames;
-                for frame in start..(start + slot_frames).min(graph.frames()) {
-                    let net = net_gain(pieces, sums, piece, frame);
-                    if net > 0.0 {
-                        value[at + slot] += net;
-                    } else if slot > 0 {
-                        // Whoever has it by the end of the slot before has it in the whole of this one.
-                        value[at + slot - 1] += net;
-                    }
+                let frames = start..start.saturating_add(slot_frames).min(graph.frames());
+                let (gains, losses) = net_gains(pieces, sums, piece, frames);
+                value[at + slot] += gains;
+                if slot > 0 {
+                    // Whoever has it by the end of the slot before has it in the whole of this one.
+                    value[at + slot - 1] += losses;
                 }
             }
         }
@@ -309,15 +310,82 @@ fn distance(one: &[f64], other: &[f64]) -> f64 {
     one.iter().zip(other).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
-/// Variables of a program with a slot for every frame.
-pub(super) fn fine_variables(graph: &PacketGraph, pieces: &Pieces) -> usize {
-    let needed = (0..pieces.len()).filter(|piece| pieces.needed_from(*piece) < graph.frames());
-    needed.map(|piece| (pieces.useful_until(piece) + 1 - pieces.needed_from(piece)) as usize).sum()
+/// Variables of a program with slots of `slot_frames`.
+pub(super) fn variables(graph: &PacketGraph, pieces: &Pieces, slot_frames: u32) -> usize {
+    spans(graph, pieces, slot_frames).map(|(_, slots)| slots).sum()
 }
 
-/// What `piece` adds to `frame`; less than nothing if it takes more from it than it brings.
-fn net_gain(pieces: &Pieces, sums: &FrameSums, piece: usize, frame: u32) -> f64 {
-    let parts = pieces.parts(piece).iter().chain(pieces.negative_contributions(piece));
-    let shown = parts.filter(|part| (part.first..=part.last).contains(&frame));
-    shown.map(|part| sums.gain(&Contribution { last: frame, ..*part }, frame).0).sum()
+/// Variables and multipliers of needs of a program with slots of `slot_frames`: time and memory of a step
+/// grow with them.
+pub(super) fn size(graph: &PacketGraph, pieces: &Pieces, slot_frames: u32) -> usize {
+    spans(graph, pieces, slot_frames).map(|(piece, slots)| slots * (1 + pieces.needs(piece).len())).sum()
+}
+
+/// Pieces that something needs, and in how many slots.
+fn spans(graph: &PacketGraph, pieces: &Pieces, slot_frames: u32) -> impl Iterator<Item = (usize, usize)> {
+    let needed = (0..pieces.len()).filter(move |piece| pieces.needed_from(*piece) < graph.frames());
+    needed.map(move |piece| {
+        let [first, last] = [pieces.needed_from(piece), pieces.useful_until(piece)].map(|f| f / slot_frames);
+        (piece, (last + 1 - first) as usize)
+    })
+}
+
+/// What `piece` adds to those of `frames` to which it brings more than it takes from them, and what it takes
+/// from the others.
+fn net_gains(pieces: &Pieces, sums: &FrameSums, piece: usize, frames: Range<u32>) -> (f64, f64) {
+    let parts = || pieces.parts(piece).iter().chain(pieces.negative_contributions(piece));
+    let (mut gains, mut losses) = (0.0, 0.0);
+    let mut from = frames.start;
+    while from < frames.end {
+        // Until a part begins or has ended, the piece adds to every frame or takes from every frame.
+        let ends = parts().flat_map(|part| [part.first, part.last + 1]).filter(|end| *end > from);
+        let until = ends.fold(frames.end, u32::min);
+        let shown = parts().filter(|part| (part.first..=part.last).contains(&from));
+        let net: f64 = shown.map(|part| sums.gain(&Contribution { last: until - 1, ..*part }, from).0).sum();
+        if net > 0.0 {
+            gains += net;
+        } else {
+            losses += net;
+        }
+        from = until;
+    }
+    (gains, losses)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::graph::{ClosureRule, Synthetic};
+
+    /// Frame by frame, which is slow and obvious.
+    #[test]
+    fn gains_of_spans_are_those_of_their_frames() {
+        let spec =
+            Synthetic { frames: 90, clusters: 4, profile: ClosureRule::Sliced, ..Synthetic::default() };
+        let mut parts = spec.build(2).unwrap().parts().clone();
+        for (at, group) in parts.groups.iter_mut().enumerate() {
+            group.utility = [1.0, 0.4, -0.3, 0.2][at % 4];
+        }
+        let graph = PacketGraph::new(parts).unwrap();
+        let division = graph.division();
+        let Division { pieces, sums, .. } = &*division;
+        for slot_frames in [1, 3, 7, 24, 90] {
+            for piece in 0..pieces.len() {
+                for start in (0..90).step_by(slot_frames) {
+                    let frames = start..(start + slot_frames as u32).min(90);
+                    let (mut gains, mut losses) = (0.0, 0.0);
+                    for frame in frames.clone() {
+                        let net = net_gains(pieces, sums, piece, frame..frame + 1);
+                        gains += net.0;
+                        losses += net.1;
+                    }
+                    let found = net_gains(pieces, sums, piece, frames);
+                    assert!(
+                        (found.0 - gains).abs() < 1e-9 && (found.1 - losses).abs() < 1e-9,
+                        "{piece} {start}"
+                    );
+                }
+            }
+        }
+    }
 }

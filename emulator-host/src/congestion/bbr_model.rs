@@ -12,9 +12,9 @@
 //!   it.
 //!
 //! Where it differs from the text, which paces at min(r_cwnd, r̂_path) exactly: the rate of the path is
-//! what was delivered, never more than what was sent, so that exactly that much would stay what the initial
-//! window measured. Tried, it leaves 42 % of a link of 5 Mbit/s unused and 88 % of one of 20 Mbit/s, at 40
-//! ms of round trip; with the headroom of [`super::Recovery`], here as for every controller, 6 and 7 %.
+//! what was delivered, never more than what was sent, so that exactly that much stays what the initial window
+//! measured. [`BbrModel::paper`] keeps to the text nevertheless: r_cwnd is the window over the smoothed round
+//! trip, and neither it nor r̂_path has headroom at any time.
 
 use super::{Acked, Controller, DeliverySample, Rtt, delivery::DeliveryRate, initial_window, minimum_window};
 use crate::clock::{Nanos, Rate};
@@ -34,6 +34,8 @@ pub struct BbrModel {
     rate_at_round: Rate,
     flat_rounds: u32,
     collapsed: bool,
+    /// Whether the pace is min(r_cwnd, r̂_path) exactly.
+    is_exact: bool,
 }
 
 impl BbrModel {
@@ -52,7 +54,13 @@ impl BbrModel {
             rate_at_round: Rate(0),
             flat_rounds: 0,
             collapsed: false,
+            is_exact: false,
         }
+    }
+
+    /// The same, paced at min(r_cwnd, r̂_path) exactly, as the paper's text says.
+    pub fn paper(datagram_bytes: u64) -> Self {
+        Self { is_exact: true, ..Self::new(datagram_bytes) }
     }
 
     fn product(&self) -> Option<u64> {
@@ -83,7 +91,7 @@ impl BbrModel {
 
 impl Controller for BbrModel {
     fn name(&self) -> &'static str {
-        "bbr-model"
+        if self.is_exact { "bbr-paper" } else { "bbr-model" }
     }
 
     fn on_ack(&mut self, acked: Acked, rtt: &Rtt, _now: Nanos) {
@@ -134,6 +142,9 @@ impl Controller for BbrModel {
     }
 
     fn pacing_rate(&self, rtt: &Rtt) -> Rate {
+        if self.is_exact {
+            return Rate::over(crate::clock::Bytes(self.window()), rtt.smoothed());
+        }
         match self.rate.estimate() {
             Some(rate) if self.starting => rate.scaled(2, 1),
             Some(rate) => rate.scaled(5, 4),
@@ -143,6 +154,14 @@ impl Controller for BbrModel {
 
     fn is_probing(&self) -> bool {
         self.starting
+    }
+
+    fn headroom(&self) -> (u64, u64) {
+        match (self.is_exact, self.starting) {
+            (true, _) => (1, 1),
+            (false, true) => (3, 1),
+            (false, false) => (5, 4),
+        }
     }
 }
 
@@ -169,6 +188,19 @@ mod tests {
         assert_eq!(model.window(), 80_000);
         assert!(!model.is_probing());
         assert_eq!(model.pacing_rate(&rtt), Rate::from_mbps(10));
+    }
+
+    #[test]
+    fn the_papers_pace_is_the_window_over_a_round_trip_or_the_path_and_never_more() {
+        let (begun, begun_rtt) = fed(&[(100, 8)]);
+        let begun = BbrModel { is_exact: true, ..begun };
+        assert!(begun.is_probing());
+        assert_eq!((begun.name(), begun.headroom()), ("bbr-paper", (1, 1)));
+        let window = crate::clock::Bytes(begun.window());
+        assert_eq!(begun.pacing_rate(&begun_rtt), Rate::over(window, Nanos::from_ms(40)));
+        let (settled, _) = fed(&[(100, 8), (150, 8), (200, 8), (250, 8), (300, 8)]);
+        assert_eq!(settled.headroom(), (5, 4));
+        assert_eq!(BbrModel { is_exact: true, ..settled }.headroom(), (1, 1));
     }
 
     #[test]

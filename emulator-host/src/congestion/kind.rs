@@ -13,11 +13,13 @@ pub enum ControllerKind {
     BbrModel,
     /// [`Scream`].
     Scream,
+    /// [`BbrModel::paper`]: min(r_cwnd, r̂_path) exactly.
+    BbrPaper,
 }
 
 impl ControllerKind {
     /// Every controller.
-    pub const ALL: [Self; 4] = [Self::NewReno, Self::Cubic, Self::BbrModel, Self::Scream];
+    pub const ALL: [Self; 5] = [Self::NewReno, Self::Cubic, Self::BbrModel, Self::Scream, Self::BbrPaper];
 
     /// Name in reports.
     pub fn name(self) -> &'static str {
@@ -26,6 +28,7 @@ impl ControllerKind {
             Self::Cubic => "cubic",
             Self::BbrModel => "bbr-model",
             Self::Scream => "scream",
+            Self::BbrPaper => "bbr-paper",
         }
     }
 
@@ -36,6 +39,7 @@ impl ControllerKind {
             Self::Cubic => Box::new(Cubic::new(datagram_bytes)),
             Self::BbrModel => Box::new(BbrModel::new(datagram_bytes)),
             Self::Scream => Box::new(Scream::new(datagram_bytes)),
+            Self::BbrPaper => Box::new(BbrModel::paper(datagram_bytes)),
         }
     }
 }

@@ -278,13 +278,6 @@ impl Recovery {
         self.pace(now);
     }
 
-    /// Explicit congestion notification: a CE count rose with the acknowledgement of a packet sent at
-    /// `sent_at`. Has the effect of one loss event (RFC 9002, 7.1).
-    pub fn on_ecn(&mut self, sent_at: Nanos, now: Nanos) {
-        self.entry_credit |= self.controller.on_congestion(sent_at, 0, self.in_flight, now);
-        self.pace(now);
-    }
-
     /// When [`Self::on_timer`] is due: the loss timer if set, else the probe timeout while anything is in
     /// flight.
     pub fn timer(&self) -> Nanos {
@@ -399,11 +392,9 @@ impl Recovery {
         Some(DeliverySample { rate, app_limited: sent.source_limited })
     }
 
-    /// r_send = min(r_cwnd, headroom × r̂_path): the path's estimate never exceeds what was sent, so a cap
-    /// without headroom could never learn that the path is faster. Headroom is 3 while the controller probes,
-    /// for the estimate is a round trip old and the window doubles in one, and 5/4 afterwards.
+    /// r_send = min(r_cwnd, headroom × r̂_path), with [`Controller::headroom`].
     fn pace(&mut self, now: Nanos) {
-        let (numerator, denominator) = if self.controller.is_probing() { (3, 1) } else { (5, 4) };
+        let (numerator, denominator) = self.controller.headroom();
         let window = self.controller.pacing_rate(&self.rtt);
         let cap = self.path_rate().map_or(Rate::MAX, |path| path.scaled(numerator, denominator));
         self.pacer.set_rate(window.min(cap), now);

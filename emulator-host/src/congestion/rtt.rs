@@ -1,5 +1,6 @@
 //! Estimates the round-trip time (RFC 9002, 5 and A.7).
 
+use super::RecentMinimum;
 use crate::clock::Nanos;
 
 /// Round trip assumed before the first sample (RFC 9002, 6.2.2).
@@ -15,6 +16,7 @@ pub struct Rtt {
     smoothed: Nanos,
     variation: Nanos,
     minimum: Nanos,
+    recent: RecentMinimum,
     max_ack_delay: Nanos,
     first_sample_at: Option<Nanos>,
 }
@@ -28,6 +30,7 @@ impl Rtt {
             smoothed: INITIAL,
             variation: Nanos(INITIAL.0 / 2),
             minimum: Nanos::ZERO,
+            recent: RecentMinimum::new(),
             max_ack_delay,
             first_sample_at: None,
         }
@@ -38,6 +41,7 @@ impl Rtt {
     /// old smoothed value.
     pub fn update(&mut self, latest: Nanos, ack_delay: Nanos, now: Nanos) {
         self.latest = latest;
+        self.recent.take(latest, now);
         if self.first_sample_at.is_none() {
             self.first_sample_at = Some(now);
             self.minimum = latest;
@@ -58,6 +62,12 @@ impl Rtt {
     /// After persistent congestion the minimum starts again from the newest sample (RFC 9002, 5.2).
     pub fn on_persistent_congestion(&mut self) {
         self.minimum = self.latest;
+        self.recent.keep_newest();
+    }
+
+    /// Times of later samples count from a new zero, which is now; what is known stays.
+    pub fn restart_clock(&mut self) {
+        self.recent.restart(Nanos::ZERO);
     }
 
     /// Smoothed round trip, or 333 ms before the first sample.
@@ -70,9 +80,14 @@ impl Rtt {
         self.variation
     }
 
-    /// Smallest sample; zero before the first.
+    /// Smallest sample of the connection (RFC 9002, 5.2); zero before the first.
     pub fn minimum(&self) -> Nanos {
         self.minimum
+    }
+
+    /// Smallest sample of late, for what a sender expects of the path.
+    pub fn recent(&self) -> &RecentMinimum {
+        &self.recent
     }
 
     /// Newest sample; zero before the first.
@@ -113,6 +128,19 @@ fn weighted(before: Nanos, sample: Nanos, parts: u64) -> Nanos {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_a_sender_expects_follows_a_longer_path_and_what_recovery_uses_does_not() {
+        let mut rtt = Rtt::new(Nanos::from_ms(25));
+        for second in 0..40 {
+            let sample = Nanos::from_ms(if second < 15 { 40 } else { 100 });
+            rtt.update(sample, Nanos::ZERO, Nanos::from_s(second));
+        }
+        assert_eq!((rtt.minimum(), rtt.recent().get()), (Nanos::from_ms(40), Nanos::from_ms(100)));
+        rtt.update(Nanos::from_ms(300), Nanos::ZERO, Nanos::from_s(40));
+        rtt.on_persistent_congestion();
+        assert_eq!((rtt.minimum(), rtt.recent().get()), (Nanos::from_ms(300), Nanos::from_ms(300)));
+    }
 
     #[test]
     fn samples_of_any_length_are_taken() {

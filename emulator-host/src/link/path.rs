@@ -193,6 +193,12 @@ impl PathConfig {
         Bytes(self.capacity.bytes_until(time).0.saturating_add(light.0))
     }
 
+    /// No datagram takes less from one end to the other, capacity aside: the delay and the least of its
+    /// trace. Jitter and reordering only add to it.
+    pub(crate) fn least_delay(&self) -> Nanos {
+        self.delay + self.delay_trace.as_ref().map_or(Nanos::ZERO, DelayTrace::least)
+    }
+
     /// Fresh boxes with labels under `label`, each with its own stream of `seed`.
     ///
     /// # Errors

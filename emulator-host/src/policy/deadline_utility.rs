@@ -14,7 +14,8 @@
 //!   frame 0 needs, and windows leave when the one before them plays;
 //! - *credit*, *arrival from queue*, *base weight*: how else a piece is scored;
 //! - *opening*: before playout, what the startup rule counts, by count per byte;
-//! - *parity competes*: parity is one more candidate, worth what repetition would come too late for;
+//! - *parity competes*: parity is one more candidate, worth what repetition would come too late for, as far
+//!   as losses in bursts leave it enough to repair with;
 //! - *viewport*: what is out of the viewer's sight, or far away, waits (the viewport's text has the formula).
 //!
 //! The forecast orders and never refuses: its error has a heavy tail, so everything that can still be shown
@@ -24,6 +25,7 @@
 //! With a flat table the score is frames per byte and their urgency: windows come in order and, within a
 //! window, levels, which is the conventional schedule.
 
+mod bursts;
 mod config;
 mod forecast;
 mod in_flight;
@@ -178,6 +180,8 @@ mod tests {
                     in_flight: 0,
                     sent_at: &sent_at,
                     loss: 0.0,
+                    loss_after_loss: 0.0,
+                    sent_number: &[],
                     startup: StartupRule::AfterWait,
                     retransmissions: 2,
                     viewpoint: Viewpoint::of(&pose),

@@ -11,6 +11,8 @@
 //! - U_g = ½ (1 + f), with f the share of g's own bytes that is under way or there: it rises as g nears
 //!   completion.
 //!
+//! The score is the paper's; what is around it is not, for the text leaves it open.
+//!
 //! Until playout has started, the base of the first frame comes before everything else, in order of S.
 //!
 //! Infeasible groups are skipped: abandoned (a packet in the closure is lost for good), expired, or with P_g

@@ -28,7 +28,8 @@ pub enum PolicyKind {
     Dependency,
     /// [`DeadlineUtility`].
     DeadlineUtility,
-    /// The paper's score S(g), exactly.
+    /// Scores by the paper's S(g) exactly. Around the score: the base of frame 0 comes first, groups with P_g
+    /// below .05 are skipped, 16 are ranked together for up to 100 ms, and one that was begun is finished.
     DeadlineUtilityPaper,
 }
 

@@ -189,4 +189,47 @@ mod tests {
         let sent = client.poll(Nanos::from_ms(23)).unwrap();
         assert_eq!(client.feedback(sent.tag).0.ack_delay, Nanos::from_ms(3));
     }
+
+    #[test]
+    fn rfc9000_26_a_datagram_by_itself_is_acknowledged_within_25_ms_and_the_second_at_once() {
+        let graph = Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap();
+        let mut config = SessionConfig::default();
+        for (ack_every, next_at) in [(2, None), (10, Some(Nanos::from_ms(20)))] {
+            config.ack_every = ack_every;
+            let mut endpoint = GraphReceiver::new(&graph, 16);
+            let mut client = Client::new(&graph, &config, &mut endpoint);
+            client.receive(0, Content::Ping, Nanos::from_ms(1));
+            // Where more than two are waited for, another that comes meanwhile does not put it off.
+            next_at.into_iter().for_each(|at| client.receive(1, Content::Ping, at));
+            let due = Nanos::from_ms(1 + 25);
+            assert_eq!((client.next_time(), client.poll(due - Nanos(1))), (due, None));
+            let sent = client.poll(due).unwrap();
+            let waited = due - next_at.unwrap_or(Nanos::from_ms(1));
+            assert_eq!(client.feedback(sent.tag).0.ack_delay, waited);
+            // It is acknowledged once: what is due next is playout.
+            assert_eq!((client.next_time(), client.poll(due)), (config.startup.max_wait, None));
+        }
+        config.ack_every = 2;
+        let mut endpoint = GraphReceiver::new(&graph, 16);
+        let mut client = Client::new(&graph, &config, &mut endpoint);
+        for number in 0..2 {
+            assert_eq!(client.poll(Nanos::from_ms(1)), None);
+            client.receive(number, Content::Ping, Nanos::from_ms(1));
+        }
+        assert!(client.poll(Nanos::from_ms(1)).is_some());
+    }
+
+    #[test]
+    fn rfc9002_23_acknowledgements_are_not_paced() {
+        let graph = Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap();
+        let config = SessionConfig::default();
+        let mut endpoint = GraphReceiver::new(&graph, 16);
+        let mut client = Client::new(&graph, &config, &mut endpoint);
+        let now = Nanos::from_ms(1);
+        // Every second number is missing: each that comes is acknowledged in the instant in which it does.
+        for number in (1..2000).step_by(2) {
+            client.receive(number, Content::Ping, now);
+            assert!(client.poll(now).is_some(), "{number}");
+        }
+    }
 }

@@ -12,9 +12,11 @@ use codec_core::internals::wire::receipt::ViewerPose;
 use super::{
     feedback::{self, Feedback},
     forecast::Forecasts,
+    loss_bursts::LossBursts,
     loss_share::LossShare,
     parity_queue::ParityQueue,
     reported_pose::ReportedPose,
+    round_trip_probe::RoundTripProbe,
     view_state::{PathFacts, ViewState},
 };
 use crate::{
@@ -97,6 +99,8 @@ pub struct MediaSender<G, S> {
     starved: bool,
     counts: SenderCounts,
     loss: LossShare,
+    bursts: LossBursts,
+    probe: RoundTripProbe,
     forecasts: Forecasts,
     /// What the last receipt said; kept, so that reading one costs no allocation.
     feedback: Feedback,
@@ -135,6 +139,8 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             starved: false,
             counts: SenderCounts::default(),
             loss: LossShare::new(),
+            bursts: LossBursts::new(),
+            probe: RoundTripProbe::default(),
             forecasts: Forecasts::default(),
             feedback: Feedback::default(),
             graph,
@@ -208,7 +214,9 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// playout has started, the sender expects it to start when the rest of the first base could be there.
     pub fn look(&mut self, path: PathFacts, now: Nanos) {
         self.view_state.path = path.plausible();
+        self.probe.look(&self.view_state.path, now);
         self.view_state.loss = self.loss.share(now);
+        self.view_state.loss_after_loss = self.bursts.share_after_loss(self.view_state.loss, now);
         self.view_state.playing = self.known_start.is_some();
         self.view_state.playout_start = self.known_start.unwrap_or_else(|| {
             let latest = self.rules.startup.max_wait.max(now);
@@ -248,12 +256,14 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// not. Two may always be out, and one more leaves after every silence of twice the queue, or of what the
     /// path needs for two datagrams, so that a full path drains nevertheless: what is in flight may be lost,
     /// and without an acknowledgement of something later nothing but the probe timeout would tell. Control is
-    /// not subject to this.
+    /// not subject to this. After ten seconds in which the path was never empty it is emptied for about a
+    /// round trip, to measure how long it is by itself.
     pub fn full_until(&self, now: Nanos) -> Option<Nanos> {
         let path = &self.view_state.path;
         let max_queue_delay = self.service.max_queue_delay.filter(|_| path.minimum_rtt > Nanos::ZERO)?;
-        if path.in_flight < 2 * path.datagram_bytes {
-            return None;
+        let emptied_until = self.probe.holds_until(path, now);
+        if emptied_until.is_some() || path.in_flight < 2 * path.datagram_bytes {
+            return emptied_until;
         }
         // A path of many milliseconds needs as many more to be probed for its rate.
         let widest = max_queue_delay.max(path.minimum_rtt);
@@ -311,6 +321,12 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         self.loss.settle(acked, lost, now);
     }
 
+    /// The datagram `number`, counted in the order of sending, was found to be `lost` or to have arrived: how
+    /// losses cluster follows from it.
+    pub fn on_fate(&mut self, number: u64, lost: bool, now: Nanos) {
+        self.bursts.settle(number, lost, now);
+    }
+
     /// Another sender to the same receiver sent `packet` at the time `at` as its sending `number`, and what
     /// became of it is not known.
     pub fn on_sent_before(&mut self, packet: PacketIndex, number: u64, at: Nanos) {
@@ -336,7 +352,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             return;
         }
         self.expect_start_after(now);
-        let view = self.view_state.view(&self.graph, &self.status, &self.sent_at);
+        let view = self.view_state.view(&self.graph, &self.status, &self.sent_at, &self.last_number);
         let expired = view.is_expired(packet, now);
         if self.service.lost_compete && !self.is_parity(packet) {
             self.set_status(packet, if expired { PacketStatus::Abandoned } else { PacketStatus::Waiting });
@@ -390,7 +406,8 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             if self.status[lost.at()] != PacketStatus::InFlight {
                 continue;
             }
-            if !self.view_state.view(&self.graph, &self.status, &self.sent_at).is_expired(lost, now) {
+            let view = self.view_state.view(&self.graph, &self.status, &self.sent_at, &self.last_number);
+            if !view.is_expired(lost, now) {
                 self.counts.retransmitted += 1;
                 return Some(lost);
             }
@@ -404,14 +421,14 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         if self.parity.is_empty() {
             return None;
         }
-        let view = self.view_state.view(&self.graph, &self.status, &self.sent_at);
+        let view = self.view_state.view(&self.graph, &self.status, &self.sent_at, &self.last_number);
         self.parity.next(&mut self.scheduler, &view, now)
     }
 
     /// What the scheduler says; with nothing else to send, parity that was not worth its bytes before may be,
     /// while what it protects is on its way.
     fn next_choice(&mut self, now: Nanos) -> Option<PacketIndex> {
-        let view = self.view_state.view(&self.graph, &self.status, &self.sent_at);
+        let view = self.view_state.view(&self.graph, &self.status, &self.sent_at, &self.last_number);
         let mut packet = self.scheduler.next(&view, now);
         if packet.is_some_and(|packet| !view.is_sendable(packet, now) || view.graph.is_parity(packet)) {
             self.counts.refused_choices += 1;
@@ -467,20 +484,4 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::sync::Arc;
-
-    use super::*;
-    use crate::{graph::Synthetic, policy::PolicyKind, session::SessionConfig};
-
-    /// A sender that owns its graph and scheduler lives in a task of its own.
-    #[test]
-    fn a_sender_may_move_to_another_thread() {
-        let graph = Arc::new(Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap());
-        let scheduler = PolicyKind::DeadlineUtility.build(&graph);
-        let rules = SessionConfig::default().sending();
-        let mut sender = MediaSender::new(graph, scheduler, rules, PathFacts::unknown(1200), Nanos::ZERO);
-        let packet = std::thread::spawn(move || sender.next(Nanos::ZERO)).join().unwrap();
-        assert!(packet.is_some());
-    }
-}
+mod tests;

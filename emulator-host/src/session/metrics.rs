@@ -1,6 +1,6 @@
 //! Counts what happens during a run, and makes the report.
 
-use super::forecast::Forecasts;
+use super::{IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, forecast::Forecasts};
 use crate::{
     clock::{Bytes, Nanos, Rate},
     graph::{ClosureRule, GroupIndex, PacketGraph, PacketIndex},
@@ -10,6 +10,8 @@ use crate::{
 };
 
 const NEVER: u32 = u32::MAX;
+/// Bytes that the link spends on the datagram of a packet beside the packet.
+const OVERHEAD_BYTES: u64 = (QUIC_OVERHEAD_BYTES + IP_UDP_BYTES) as u64;
 
 /// A group that changes pixels now.
 #[derive(Clone, Copy, Debug)]
@@ -24,6 +26,8 @@ struct Active {
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
     bases: usize,
+    /// Groups of positive utility.
+    positive: usize,
     utility: f64,
     positive_utility: f64,
 }
@@ -49,8 +53,15 @@ pub(super) struct Metrics<'a> {
     /// Packets recovered from each repair set: as many of its parity packets were of use.
     set_used: Vec<u32>,
     frames: Vec<FrameRow>,
+    /// Σ over the frames shown of the missing share of the groups of positive utility.
+    positive_misses: f64,
     samples: Vec<SenderRow>,
+    has_manifest: bool,
     media_bytes: u64,
+    /// The same with the headers of datagrams.
+    link_bytes: u64,
+    /// [`Report::arrived_bytes`].
+    arrived_bytes: Vec<u64>,
     buffered: u64,
     recovered: u64,
     waste: Waste,
@@ -80,8 +91,12 @@ impl<'a> Metrics<'a> {
             used: vec![NEVER; graph.packets().len()],
             set_used: vec![0; graph.repair_sets().len()],
             frames: Vec::with_capacity(graph.frames() as usize),
+            positive_misses: 0.0,
             samples: Vec::new(),
+            has_manifest: false,
             media_bytes: 0,
+            link_bytes: 0,
+            arrived_bytes: Vec::with_capacity(graph.frames() as usize),
             buffered: 0,
             recovered: 0,
             waste: Waste::default(),
@@ -92,9 +107,15 @@ impl<'a> Metrics<'a> {
         self.samples.push(row);
     }
 
+    /// The manifest is complete: from here on, what has arrived can be shown.
+    pub(super) fn on_manifest(&mut self) {
+        self.has_manifest = true;
+    }
+
     pub(super) fn arrive(&mut self, packet: PacketIndex, arrival: Arrival, next_frame: u32) {
         let bytes = u64::from(self.graph.wire_bytes(packet));
         self.media_bytes += bytes;
+        self.link_bytes += bytes + OVERHEAD_BYTES;
         match arrival {
             Arrival::Duplicate => self.waste.duplicate_bytes += bytes,
             Arrival::Refused => self.waste.refused_bytes += bytes,
@@ -118,7 +139,7 @@ impl<'a> Metrics<'a> {
     pub(super) fn show(&mut self, frame: u32, now: Nanos, snapshot: &Snapshot) {
         self.enter_packets(frame, snapshot);
         self.renew_active(frame);
-        let (mut lacking, mut bases_missed) = (0.0, 0);
+        let (mut lacking, mut bases_missed, mut positive_missed) = (0.0, 0, 0);
         self.missing.retain(|active| {
             let is_missing = !snapshot.has_group(active.group);
             if is_missing {
@@ -126,11 +147,14 @@ impl<'a> Metrics<'a> {
                 let there = part.map_or(0.0, |(part, all)| f64::from(*part) / f64::from(*all));
                 lacking += active.utility * (1.0 - there);
                 bases_missed += usize::from(active.base);
+                positive_missed += usize::from(active.utility > 0.0);
             }
             is_missing
         });
         let share = |part: usize, all: usize| if all == 0 { 0.0 } else { part as f64 / all as f64 };
         let sums = self.sums;
+        self.positive_misses += share(positive_missed, sums.positive);
+        self.arrived_bytes.push(if self.has_manifest { self.link_bytes } else { 0 });
         self.frames.push(FrameRow {
             time_ns: now,
             frame,
@@ -169,6 +193,7 @@ impl<'a> Metrics<'a> {
         self.sums = Sums::default();
         for active in &self.active {
             self.sums.bases += usize::from(active.base);
+            self.sums.positive += usize::from(active.utility > 0.0);
             self.sums.utility += active.utility;
             self.sums.positive_utility += active.utility.max(0.0);
         }
@@ -233,6 +258,7 @@ impl<'a> Metrics<'a> {
             startup_reached: false,
             miss_rate: mean(|row| row.miss, 1.0),
             base_miss_rate: mean(|row| row.base_miss, 1.0),
+            positive_miss_rate: (self.positive_misses + unshown) / count,
             utility: mean(|row| row.utility, 0.0),
             duration_ns: now,
             goodput_bps: rate(self.media_bytes, now),
@@ -244,6 +270,7 @@ impl<'a> Metrics<'a> {
             sender: SenderCounts::default(),
             forecast,
             frames: self.frames,
+            arrived_bytes: self.arrived_bytes,
             samples: self.samples,
             boxes: boxes.into_iter().map(|(label, counts)| BoxRow { label, counts }).collect(),
             one_way_delay: None,
@@ -254,4 +281,65 @@ impl<'a> Metrics<'a> {
 
 fn rate(bytes: u64, span: Nanos) -> f64 {
     if span == Nanos::ZERO { 0.0 } else { Rate::over(Bytes(bytes), span).0 as f64 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::graph::Synthetic;
+
+    /// Everything of `graph` but the groups of which `lacks` is true.
+    fn snapshot(graph: &PacketGraph, lacks: impl Fn(usize) -> bool) -> Snapshot {
+        let mut snapshot = Snapshot::empty(graph);
+        for at in (0..graph.groups().len()).filter(|at| !lacks(*at)) {
+            snapshot.insert_group(GroupIndex(at as u32));
+        }
+        snapshot
+    }
+
+    #[test]
+    fn groups_without_positive_utility_are_no_misses_of_positive_utility() {
+        let mut parts =
+            Synthetic { frames: 2, clusters: 8, ..Synthetic::default() }.build(1).unwrap().parts().clone();
+        // Two of the four levels: one harms, and one changes nothing.
+        for group in &mut parts.groups {
+            group.utility = [1.0, 0.5, 0.0, -0.2][usize::from(group.level())];
+        }
+        let graph = PacketGraph::new(parts).unwrap();
+        let level = |at: usize| graph.groups()[at].level();
+        let rates = |lacks: &dyn Fn(usize) -> bool| {
+            let mut metrics = Metrics::new(&graph);
+            metrics.show(0, Nanos::ZERO, &snapshot(&graph, lacks));
+            metrics.show(1, Nanos::from_ms(33), &snapshot(&graph, lacks));
+            let report = metrics.report(Nanos::from_ms(66), &Forecasts::default(), Vec::new());
+            (report.miss_rate, report.positive_miss_rate)
+        };
+        assert_eq!(rates(&|_| false), (0.0, 0.0));
+        assert_eq!(rates(&|at| level(at) >= 2), (0.5, 0.0));
+        assert_eq!(rates(&|at| level(at) >= 1), (0.75, 0.5));
+        assert_eq!(rates(&|_| true), (1.0, 1.0));
+        // Of two frames the second is never shown: all of it is missed.
+        let mut metrics = Metrics::new(&graph);
+        metrics.show(0, Nanos::ZERO, &snapshot(&graph, |_| false));
+        let report = metrics.report(Nanos::from_ms(33), &Forecasts::default(), Vec::new());
+        assert_eq!((report.miss_rate, report.positive_miss_rate), (0.5, 0.5));
+    }
+
+    #[test]
+    fn bytes_that_arrived_count_once_the_manifest_is_there_and_with_their_headers() {
+        let graph = Synthetic { frames: 3, ..Synthetic::default() }.build(1).unwrap();
+        let mut metrics = Metrics::new(&graph);
+        let nothing = Snapshot::empty(&graph);
+        let bytes = |packet: u32| u64::from(graph.wire_bytes(PacketIndex(packet))) + 58;
+        metrics.arrive(PacketIndex(0), Arrival::Buffered, 0);
+        metrics.show(0, Nanos::ZERO, &nothing);
+        metrics.on_manifest();
+        metrics.show(1, Nanos::from_ms(33), &nothing);
+        // Bytes that arrive in vain could have been others.
+        metrics.arrive(PacketIndex(1), Arrival::Fresh, 2);
+        metrics.arrive(PacketIndex(1), Arrival::Duplicate, 2);
+        metrics.show(2, Nanos::from_ms(66), &nothing);
+        let report = metrics.report(Nanos::from_ms(100), &Forecasts::default(), Vec::new());
+        assert_eq!(report.arrived_bytes, [0, bytes(0), bytes(0) + 2 * bytes(1)]);
+    }
 }

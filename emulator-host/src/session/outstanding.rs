@@ -124,15 +124,20 @@ impl Outstanding {
         let delay = Nanos(path.smoothed_rtt.0 + path.smoothed_rtt.0 / 8).max(Nanos::from_ms(1));
         let before = self.sendings.len();
         let (mut arrived_below, mut arrived_bytes) = (self.arrived_below, 0);
+        let mut arrivals = Vec::new();
         self.sendings.retain(|sending| {
             let arrived = sender.status(sending.packet) == PacketStatus::Delivered;
             // What cannot have come back yet stands for an earlier sending of the same packet.
-            arrived_bytes += if arrived { sending.bytes } else { 0 };
+            if arrived {
+                arrived_bytes += sending.bytes;
+                arrivals.push(sending.number);
+            }
             if arrived && sending.sent_at + path.minimum_rtt <= now {
                 arrived_below = arrived_below.max(sending.number + 1);
             }
             !arrived
         });
+        arrivals.iter().for_each(|number| sender.on_fate(*number, false, now));
         self.arrived_below = arrived_below;
         let arrived = before - self.sendings.len();
         if arrived > 0 {
@@ -174,6 +179,7 @@ impl Outstanding {
             sender.on_acks_and_losses(arrived, lost.len(), now);
         }
         for sending in lost {
+            sender.on_fate(sending.number, true, now);
             sender.on_lost(sending.packet, sending.number, now);
             self.bytes -= sending.bytes;
         }

@@ -48,7 +48,7 @@ impl<'a> Sender<'a> {
         if let Some(round_trip) = config.handshake_rtt {
             recovery.on_handshake(round_trip, Nanos::ZERO);
         }
-        let path = facts(&recovery, datagram_bytes);
+        let path = facts(&recovery, datagram_bytes, Nanos::ZERO);
         Self {
             config,
             graph,
@@ -131,7 +131,7 @@ impl<'a> Sender<'a> {
         self.heard.hear(reported, news, self.graph, |packet| media.on_acked(packet));
         media.on_playout(reported.playout_start());
         reported.pose.into_iter().for_each(|said| media.on_pose(said));
-        self.media.look(facts(&self.recovery, self.datagram_bytes), now);
+        self.media.look(facts(&self.recovery, self.datagram_bytes, now), now);
         self.dirty = true;
     }
 
@@ -145,7 +145,7 @@ impl<'a> Sender<'a> {
             TimerOutcome::NotDue => {}
             TimerOutcome::Loss => {
                 self.settle(&outcome, now);
-                self.media.look(facts(&self.recovery, self.datagram_bytes), now);
+                self.media.look(facts(&self.recovery, self.datagram_bytes, now), now);
                 self.dirty = true;
             }
             TimerOutcome::Probe => {
@@ -247,6 +247,8 @@ impl<'a> Sender<'a> {
     fn settle(&mut self, outcome: &AckOutcome, now: Nanos) {
         self.counts.spurious += outcome.spurious.len() as u64;
         self.media.on_acks_and_losses(outcome.acked.len(), outcome.lost.len(), now);
+        outcome.acked.iter().for_each(|number| self.media.on_fate(*number, false, now));
+        outcome.lost.iter().for_each(|number| self.media.on_fate(*number, true, now));
         for number in outcome.acked.iter().chain(&outcome.spurious) {
             match self.content(*number) {
                 Content::Media(packet) => self.media.on_acked(packet),
@@ -271,14 +273,16 @@ fn widest_datagram(graph: &PacketGraph) -> u64 {
     (widest + u64::from(QUIC_OVERHEAD_BYTES)).max(1200)
 }
 
-fn facts(recovery: &Recovery, datagram_bytes: u64) -> PathFacts {
+/// What is known of the path at `now`.
+fn facts(recovery: &Recovery, datagram_bytes: u64, now: Nanos) -> PathFacts {
     let rtt = recovery.rtt();
     let expected = PathFacts::expected_round_trip(rtt.smoothed(), rtt.latest());
     PathFacts {
         rate: recovery.rate(expected),
         smoothed_rtt: expected,
         rtt_variation: rtt.variation().min(expected),
-        minimum_rtt: rtt.minimum(),
+        minimum_rtt: rtt.recent().get(),
+        minimum_rtt_age: rtt.recent().age(now),
         in_flight: recovery.in_flight(),
         datagram_bytes,
     }

@@ -17,8 +17,10 @@ pub struct PathFacts {
     pub smoothed_rtt: Nanos,
     /// Its mean deviation.
     pub rtt_variation: Nanos,
-    /// Smallest round trip; zero before the first sample.
+    /// Smallest round trip of late ([`crate::congestion::RecentMinimum`]); zero before the first sample.
     pub minimum_rtt: Nanos,
+    /// How long ago it was measured; zero where the transport knows it for certain.
+    pub minimum_rtt_age: Nanos,
     /// UDP payload bytes in flight.
     pub in_flight: u64,
     /// UDP payload of the largest datagram.
@@ -53,6 +55,7 @@ impl PathFacts {
             smoothed_rtt,
             rtt_variation: Nanos(smoothed_rtt.0 / 2),
             minimum_rtt: Nanos::ZERO,
+            minimum_rtt_age: Nanos::ZERO,
             in_flight: 0,
             datagram_bytes,
         }
@@ -67,6 +70,7 @@ pub(super) struct ViewState {
     pub(super) playing: bool,
     pub(super) horizon_frame: u32,
     pub(super) loss: f64,
+    pub(super) loss_after_loss: f64,
     pub(super) retransmissions: u32,
     pub(super) startup: StartupRule,
     pub(super) viewpoint: Option<Viewpoint>,
@@ -80,6 +84,7 @@ impl ViewState {
             playing: false,
             horizon_frame: 0,
             loss: 0.0,
+            loss_after_loss: 0.0,
             retransmissions,
             startup,
             viewpoint: None,
@@ -91,11 +96,13 @@ impl ViewState {
         graph: &'a PacketGraph,
         status: &'a [PacketStatus],
         sent_at: &'a [Nanos],
+        sent_number: &'a [u64],
     ) -> SenderView<'a> {
         SenderView {
             graph,
             status,
             sent_at,
+            sent_number,
             in_flight: self.path.in_flight,
             startup: self.startup,
             playout_start: self.playout_start,
@@ -106,6 +113,7 @@ impl ViewState {
             rtt_variation: self.path.rtt_variation,
             minimum_rtt: self.path.minimum_rtt,
             loss: self.loss,
+            loss_after_loss: self.loss_after_loss,
             retransmissions: self.retransmissions,
             viewpoint: self.viewpoint,
         }

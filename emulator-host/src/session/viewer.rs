@@ -79,6 +79,9 @@ impl<'a> Viewer<'a> {
     /// `bytes` distinct bytes of the control stream have arrived so far; `complete` once all have.
     pub fn control(&mut self, bytes: usize, complete: bool) {
         self.manifest |= complete;
+        if complete {
+            self.metrics.on_manifest();
+        }
         self.endpoint.control(bytes, complete, &mut self.recovered);
         self.take_recovered();
     }

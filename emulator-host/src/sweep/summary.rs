@@ -17,9 +17,10 @@ type Column = (&'static str, fn(&Trial) -> f64);
 /// Draws of an interval.
 const RESAMPLES: usize = 1000;
 /// What is summarised, by name.
-const COLUMNS: [Column; 6] = [
+const COLUMNS: [Column; 7] = [
     ("startup_ms", |trial| trial.startup_ms),
     ("miss", |trial| trial.miss),
+    ("positive_miss", |trial| trial.positive_miss),
     ("base_miss", |trial| trial.base_miss),
     ("utility", |trial| trial.utility),
     ("usable_goodput_bps", |trial| trial.usable_goodput_bps),
@@ -237,6 +238,7 @@ mod tests {
                     startup_ms: 100.0,
                     startup_reached: true,
                     miss: *miss,
+                    positive_miss: *miss / 2.0,
                     base_miss: 0.0,
                     utility: 1.0,
                     goodput_bps: 1e6,
@@ -271,6 +273,8 @@ mod tests {
         assert!(found.low.unwrap() > 0.0099 && found.high.unwrap() < 0.0101, "{found:?}");
         // Without pairs the same difference would drown.
         let summary = summary(&trials(&blocks), "layered");
+        let positive = summary.comparisons[1].less_baseline["positive_miss"];
+        assert!((positive.mean - 0.005).abs() < 1e-9 && positive.low.unwrap() > 0.0049, "{positive:?}");
         let mean = summary.comparisons[0].mean["miss"];
         assert!(mean.high.unwrap() - mean.low.unwrap() > 0.1, "{mean:?}");
     }

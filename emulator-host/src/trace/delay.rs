@@ -60,6 +60,11 @@ impl DelayTrace {
         delays.get(delays.len() / 2).copied().unwrap_or(Nanos::ZERO)
     }
 
+    /// The least over the points of the trace.
+    pub(crate) fn least(&self) -> Nanos {
+        self.delays.iter().map(|(_, delay)| *delay).min().unwrap_or(Nanos::ZERO)
+    }
+
     /// What makes its unit doubtful, by the median.
     pub fn unit_warning(&self) -> Option<Warning> {
         delay_unit_warning(self.median())
@@ -81,6 +86,7 @@ mod tests {
         let trace = DelayTrace::load(b"12\n9.5\n", Nanos::from_ms(10), &Limits::default()).unwrap();
         let at = |ms| trace.at(Nanos::from_ms(ms)).0 / 1000;
         assert_eq!([at(0), at(9), at(10), at(20)], [12_000, 12_000, 9_500, 12_000]);
+        assert_eq!(trace.least(), trace.at(Nanos::from_ms(10)));
         assert!(DelayTrace::load(b"1\n-1\n", Nanos::from_ms(10), &Limits::default()).is_err());
     }
 }

@@ -123,6 +123,27 @@ mod tests {
         for fine in [rows(12, 5, "3.1"), rows(3, 20, "3.1"), rows(12, 1, "300.5"), rows(3, 1, "300")] {
             assert_eq!(warnings(&fine), "");
         }
+        // 10 ms and 5 ms; the latter in a log of some seconds, since real traces have rows 5 s apart.
+        assert!(warnings(&rows(21, 10, "3.1")).contains("rows are 10 s apart"));
+        assert!(warnings(&rows(800, 5, "3.1")).contains("rows are 5 s apart"));
+        for measured in [rows(300, 5, "1.1"), rows(800, 2, "1.1"), rows(9_000, 1, "1.1")] {
+            assert_eq!(warnings(&measured), "");
+        }
+        // Around 312 kbit/s, with one digit behind the point or three; and a 5G link in Mbit/s.
+        let varied = |rate: &dyn Fn(usize) -> String| -> String {
+            (0..21).map(|row| format!("{row} {}\n", rate(row))).collect()
+        };
+        for logged in [
+            varied(&|row| format!("312.{}", row % 10)),
+            varied(&|row| format!("312.{row:03}")),
+            varied(&|_| "312.5".to_owned()),
+            varied(&|row| format!("{}.5", 10 + 40 * row)),
+        ] {
+            let said = warnings(&logged);
+            assert!(said.contains("Mbit/s and looks like kbit/s"), "{logged}: {said}");
+        }
+        let wireless = varied(&|row| format!("{}.{row:03}271", [3, 312, 255, 401, 328][row % 5]));
+        assert_eq!(warnings(&wireless), "");
         let both = warnings("0 3100\n1000 2700\n2000 3000\n");
         assert!(
             both.starts_with("rows are 1000 s apart") && both.contains("the rate is 3000 Mbit/s"),
@@ -160,7 +181,12 @@ mod tests {
         ] {
             assert_eq!(loaded.unwrap_err(), TraceError::Json);
         }
-        assert!(TraceError::Json.to_string().contains("Pantheon"));
+        let said = TraceError::Json.to_string();
+        for kind in
+            ["Pantheon", "two columns (s, Mbit/s)", "three or four (s, Mbit/s, one-way delay", "UCC CSV"]
+        {
+            assert!(said.contains(kind), "{kind}: {said}");
+        }
     }
 
     #[test]

@@ -5,7 +5,7 @@
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CameraError {
     /// A number is NaN, infinite or out of range.
-    #[error("{field} is {found}; {low} to {high} is allowed")]
+    #[error("{field} is {}; {} to {} is allowed", short(*.found), short(*.low), short(*.high))]
     Range {
         /// Which number.
         field: &'static str,
@@ -124,6 +124,12 @@ pub enum CameraError {
         /// What is wrong with it.
         source: Box<CameraError>,
     },
+}
+
+/// `value` without a digit after digit of zeros: with an exponent where it is very large or very small.
+fn short(value: f64) -> String {
+    let is_plain = value == 0.0 || !value.is_finite() || (1e-5..1e7).contains(&value.abs());
+    if is_plain { value.to_string() } else { format!("{value:e}") }
 }
 
 fn shown(values: &[f64]) -> String {

@@ -99,7 +99,11 @@ fn bad_numbers_are_named() {
     for (field, eye, target) in [("eye", 1e200, 0.0), ("target", 0.0, f64::NAN), ("eye", -1e16, 1.0)] {
         let error = Camera::look_at([eye, 0.0, 0.0], [target, 0.0, 0.0], [0.0, 1.0, 0.0], 1.0, 8, 8);
         assert!(matches!(error, Err(CameraError::Range { field: found, .. }) if found == field), "{error:?}");
+        let said = error.unwrap_err().to_string();
+        assert!(said.len() < 60, "{said}");
     }
+    let far = Camera::look_at([1e200, 0.0, 0.0], [0.0; 3], [0.0, 1.0, 0.0], 1.0, 8, 8).unwrap_err();
+    assert!(far.to_string().starts_with("eye is 1e200; -"), "{far}");
     assert!(Camera::from_colmap([0.0; 4], [0.0; 3], good).is_err());
 }
 

@@ -12,7 +12,7 @@ export interface Conditions {
   burst?: number;
   /** Bits per second, 1000 to 1e9; 0 for all at once. */
   rate?: number;
-  /** Seconds on the way, 0 to 1. */
+  /** Seconds on the way to the viewer, 0 to 1; a round trip takes as much longer. */
   delay?: number;
   /** Which packets are lost: a whole number, 0 to 4294967295. */
   seed?: number;

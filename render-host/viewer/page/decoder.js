@@ -67,6 +67,7 @@ class Actions {
 
   restart() {
     this.#decoder.restart();
+    return this.#state(false);
   }
 
   receipt({ sequence, playout, view, up }) {

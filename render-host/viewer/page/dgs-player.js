@@ -104,8 +104,7 @@ export class DgsPlayer extends Attributes {
 
   /** Plays a file, a Blob or bytes in place of what is played, once they are known to be a stream. */
   async open(file) {
-    const [load, looked] = [this.#load, {}];
-    this.#looked = looked;
+    const [load, looked] = [this.#load, (this.#looked = {})];
     const isLast = () => this.#looked === looked && this.#load === load;
     try {
       const session = await openFile(file, { worker: this.#worker });
@@ -156,8 +155,7 @@ export class DgsPlayer extends Attributes {
    * them alone. Where the server goes away, all are tried again until something else is played.
    */
   async playServed(stream, transport = null) {
-    const said = (failure) => (failure?.isRefusal ? failure.message : "The server is gone");
-    const gone = (failure) => this.#say(`${said(failure)}; trying again`);
+    const gone = (failure) => this.#say(`${failure?.isRefusal ? failure.message : "The server is gone"}; trying again`);
     await this.#climb(() => rungsOf(stream, transport), "Connecting …", gone);
   }
 
@@ -438,10 +436,9 @@ export class DgsPlayer extends Attributes {
     this.#emit(event);
   }
 
-  play() {
+  async play() {
     this.#run("play", true);
     if (this.session && !this.#engine.waiting) this.#emit("playing");
-    return Promise.resolve();
   }
 
   pause() {

@@ -10,8 +10,10 @@ const HEAD_START_MS = 300;
 const BEFORE_FILE_MS = 2000;
 // What lies between two climbs to a server that is gone, milliseconds: at first, and at most.
 const [FIRST_PAUSE_MS, LONGEST_PAUSE_MS] = [500, 10_000];
-// Where a page remembers which transport was the first.
+// Where pages of a server remember which transport was the first, and for how long, milliseconds: a network that has
+// let nothing through may do so tomorrow.
 const REMEMBERED = "dgs-transport";
+const REMEMBERED_MS = 24 * 3600 * 1000;
 
 /** What can be allowed alone. */
 const TRANSPORTS = ["live", "streams", "websocket", "file"];
@@ -130,15 +132,18 @@ async function climb(rungs, { began, signal, switched, ...given }) {
 // A page inside another may have no storage.
 function remembered() {
   try {
-    return sessionStorage.getItem(REMEMBERED);
+    const { name, at } = JSON.parse(localStorage.getItem(REMEMBERED));
+    return Math.abs(Date.now() - at) < REMEMBERED_MS ? name : null;
   } catch {
     return null;
   }
 }
 
 function remember(name) {
+  // What is known was tried first: that it is the first says nothing new, and its day goes on.
+  if (remembered() === name) return;
   try {
-    sessionStorage.setItem(REMEMBERED, name);
+    localStorage.setItem(REMEMBERED, JSON.stringify({ name, at: Date.now() }));
   } catch {
     // Then it is found out again.
   }

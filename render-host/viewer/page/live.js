@@ -17,6 +17,8 @@ const SEEK_INTERVAL_MS = 250;
 const SHORTEST_ROUND_S = 1;
 // Without any media for this long after the manifest, it is requested in streams, milliseconds.
 const NO_DATAGRAMS_MS = 1000;
+// What of a player begins another round.
+const TURNS = ["loop", "seeked", "play", "pause"];
 
 /**
  * Receives `stream` (of `/streams.json`) on the link that `open` opens; `began(session)` once its manifest is there,
@@ -58,6 +60,8 @@ class Rounds {
   #round = 0;
   #began = performance.now();
   #start = 0;
+  // Where the clock stood when the round began, seconds.
+  #stood = 0;
   #playout = 0;
   #receipts = 0;
   #seek = 0;
@@ -68,6 +72,8 @@ class Rounds {
   #asked = null;
   // Whether every round begins with nothing.
   #anew = false;
+  // Whether the stream grows: a round of it begins at its newest window.
+  #grows = false;
   // Why the server has ended the session.
   #refusal = null;
 
@@ -86,17 +92,21 @@ class Rounds {
     const player = this.#player;
     const start = await session.roundStart(player.currentTime);
     // A request may have begun another round meanwhile.
-    if (this.#round === 0) this.#start = start;
+    if (this.#round === 0) [this.#start, this.#stood] = [start, session.time];
     const say = () => this.#receipt(session).catch(() => {});
     const timer = setInterval(say, RECEIPT_INTERVAL_MS);
-    const seek = ({ type }) => {
+    const turn = ({ type }) => {
       // A short clip is there: the server need not begin again several times a second.
-      if (type !== "loop" || session.duration >= SHORTEST_ROUND_S) this.#seekSoon(session);
+      if (type === "loop" && session.duration < SHORTEST_ROUND_S) return;
+      // Who pauses a stream that grows stays where they are.
+      if (type === "pause" && this.#grows) return;
+      // A clock that stands has no deadlines: a round of its own brings what those of the one before left out.
+      this.#seekSoon(session, type === "pause");
     };
     const link = this.#link;
     const quiet = () => link.useStreams().then(() => switched("streams"), () => {});
     const waiting = link.inStreams === false ? setTimeout(quiet, NO_DATAGRAMS_MS) : 0;
-    for (const event of ["loop", "seeked", "play"]) player.addEventListener(event, seek);
+    for (const event of TURNS) player.addEventListener(event, turn);
     // What ends the control stream ends the session, too.
     this.#listen(session).catch(() => {});
     try {
@@ -117,7 +127,7 @@ class Rounds {
       clearInterval(timer);
       clearTimeout(waiting);
       clearTimeout(this.#seek);
-      for (const event of ["loop", "seeked", "play"]) player.removeEventListener(event, seek);
+      for (const event of TURNS) player.removeEventListener(event, turn);
       if (player.session === session) await this.#link.write(new Uint8Array([BYE, 0, 0, 0, 0])).catch(() => {});
     }
   }
@@ -135,12 +145,13 @@ class Rounds {
         this.#asked = null;
         // A server that grants nothing sends nothing again either.
         this.#anew = asked.anew && holds.scheduler;
-        if (this.#anew) await session.restart();
+        if (this.#anew) await this.#restart(session);
         asked.tell(holds);
       }
       // A stream that grows: the round begins at its newest window, whatever was asked for.
       if (kind === BEGIN && round === this.#round && this.#player.session === session) {
-        session.time = Number(fields.getBigUint64(4, true)) / MICROSECONDS;
+        [this.#grows, session.time] = [true, Number(fields.getBigUint64(4, true)) / MICROSECONDS];
+        this.#stood = session.time;
         this.#start = await session.roundStart(session.time);
       }
     }
@@ -158,8 +169,10 @@ class Rounds {
   async #receipt(session) {
     // Until conditions are granted, what is there may be forgotten: the server would never send it again.
     if (this.#player.session !== session || this.#saying || this.#asked) return;
-    // When the first frame of the round was, or would have been, shown.
-    if (this.#playout === 0 && session.playing && session.time >= this.#start) {
+    // When the first frame of the round was, or would have been, shown. A clock that waits for its base has shown
+    // nothing: deadlines counted from now would be over before the base is there.
+    const runs = session.playing && session.time !== this.#stood;
+    if (this.#playout === 0 && runs && session.time >= this.#start) {
       const shown = performance.now() - (1000 * (session.time - this.#start)) / Math.max(0.1, session.rate);
       this.#playout = Math.max(1, Math.round(1000 * (shown - this.#began)));
     }
@@ -172,20 +185,22 @@ class Rounds {
     await this.#link.send(datagram);
   }
 
-  #seekSoon(session) {
+  // Begins a round; one that `keeps` what is there does so even where rounds begin with nothing.
+  #seekSoon(session, keeps = false) {
     clearTimeout(this.#seek);
     const passed = performance.now() - this.#began;
     // A connection that is gone is found by who reads it.
-    const now = () => this.#seekNow(session).catch(() => {});
+    const now = () => this.#seekNow(session, keeps).catch(() => {});
     this.#seek = setTimeout(now, Math.max(0, SEEK_INTERVAL_MS - passed));
   }
 
-  async #seekNow(session) {
+  async #seekNow(session, keeps) {
     if (this.#player.session !== session) return;
     const { time } = session;
     const start = await session.roundStart(time);
     this.#round += 1;
     [this.#began, this.#playout, this.#receipts, this.#start] = [performance.now(), 0, 0, start];
+    this.#stood = session.time;
     const body = new DataView(new ArrayBuffer(12));
     body.setUint32(0, this.#round, true);
     body.setBigUint64(4, BigInt(Math.round(time * MICROSECONDS)), true);
@@ -195,9 +210,15 @@ class Rounds {
       this.#asked?.tell(null);
       const { conditions, tell } = wanted;
       [this.#wanted, this.#asked] = [null, { round: this.#round, tell, anew: conditions.anew ?? false }];
-    } else if (this.#anew) await session.restart();
+    } else if (this.#anew && !keeps) await this.#restart(session);
     const message = wanted ? framed(CONDITIONS, seek, conditionsBody(wanted.conditions)) : framed(SEEK, seek);
     await this.#link.write(message);
+  }
+
+  // Forgets what is there; the clock waits from here on.
+  async #restart(session) {
+    await session.restart();
+    this.#stood = session.time;
   }
 }
 

@@ -18,7 +18,7 @@ const PARTS = `
 <label>Loss <input class="loss" type="range" min="0" max="${100 * RANGES.loss[1]}" step="1" value="0"><output>0 %</output></label>
 <label>Bursts <input class="burst" type="range" min="1" max="${RANGES.burst[1]}" step="1" value="1"><output>1 packet</output></label>
 <label>Rate <input class="rate" type="range" min="${LEAST_RATE}" max="${NO_LIMIT}" step="0.05" value="${NO_LIMIT}"><output>no limit</output></label>
-<label>Delay <input class="delay" type="range" min="0" max="${1000 * RANGES.delay[1]}" step="5" value="0"><output>0 ms</output></label>
+<label>Delay, one way <input class="delay" type="range" min="0" max="${1000 * RANGES.delay[1]}" step="5" value="0"><output>0 ms</output></label>
 <label>Seed <input class="seed" type="range" min="1" max="50" step="1" value="1"><output>1</output></label>
 <label class="of-server">Scheduler <select class="scheduler"></select></label>
 <label class="of-server">Anew <span><input class="anew" type="checkbox" checked> each loop begins with nothing</span></label>
@@ -44,6 +44,11 @@ function rateText(rate) {
   if (rate === 0) return "no limit";
   const [unit, name] = rate < 1e6 ? [1e3, "kbit/s"] : [1e6, "Mbit/s"];
   return `${Number((rate / unit).toPrecision(2))} ${name}`;
+}
+
+// The link delays packets towards the viewer alone: a round trip takes as much longer.
+function delayText(ms) {
+  return ms > 0 ? `${ms} ms\nRTT +${ms}` : "0 ms";
 }
 
 export class NetworkPanel {
@@ -134,7 +139,7 @@ export class NetworkPanel {
     this.#say("loss", `${Math.round(100 * loss)} %`);
     this.#say("burst", burst === 1 ? "1 packet" : `${burst} packets`);
     this.#say("rate", rateText(rate));
-    this.#say("delay", `${Math.round(1000 * delay)} ms`);
+    this.#say("delay", delayText(Math.round(1000 * delay)));
     this.#say("seed", `${seed}`);
     this.#isSet = loss > 0 || rate > 0 || delay > 0 || scheduler !== "";
     // Without any of them, a clip that repeats keeps what it has.

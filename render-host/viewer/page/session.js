@@ -299,7 +299,8 @@ export class Session extends Controls {
   /** Forgets every packet: the server begins as if nothing had arrived. */
   async restart() {
     this.#changes += 1;
-    await this.#decoding.ask("restart");
+    // The clock hears at once that no base is there.
+    this.#state = await this.#decoding.ask("restart");
   }
 
   /** Moves the camera so that every Gaussian of the frame is in the picture; `up` is `y`, `minus-z` and so on. */

@@ -37,7 +37,7 @@ input[type=color] { width: 36px; height: 36px; padding: 2px; background: #222d; 
 .network label.of-server { grid-template-columns: 5em 1fr; }
 .network .where { margin: 2px 0; }
 .network .where:empty { display: none; }
-.network output { text-align: right; font-variant-numeric: tabular-nums; }
+.network output { text-align: right; white-space: pre-line; font-variant-numeric: tabular-nums; }
 .network input[type=range] { min-height: 28px; width: 100%; accent-color: #6db3ff; }
 .network canvas:is(.bits, .quality) { height: 36px; }
 .network canvas { display: block; width: 100%; height: 72px; margin-top: 6px; background: #000; border-radius: 4px; }

@@ -6,7 +6,7 @@ use winit::keyboard::{Key, NamedKey};
 use crate::{WindowError, options::aspect};
 
 /// The keys and what they do, for people.
-pub const KEYS: [(&str, &str); 20] = [
+pub const KEYS: [(&str, &str); 23] = [
     ("Space, K", "play or pause"),
     (", .", "one frame back or on"),
     ("Home End", "to the start or the end"),
@@ -21,7 +21,10 @@ pub const KEYS: [(&str, &str); 20] = [
     ("1 2 3 4", "highest level shown"),
     ("O", "paint blocks by level, by what just came, by what is missing"),
     ("[ ]", "lose fewer or more packets"),
+    ("C V", "lose them in shorter or longer runs"),
     ("N", "lose others"),
+    ("G T", "a link of a lower or higher rate"),
+    ("M J", "less or more delay on it, one way"),
     ("P", "another scheduler of the server"),
     ("B", "another background"),
     ("R", "draw less where pictures come late, or never"),
@@ -36,8 +39,16 @@ const ZOOM: f64 = 1.15;
 const SPEEDS: [f64; 6] = [0.1, 0.25, 0.5, 1.0, 2.0, 4.0];
 /// Share of packets that one press of a key loses more or fewer.
 const LOSS_STEP: f64 = 0.05;
-/// Packets lost in a row, in the mean, when keys lose packets.
+/// Packets lost in a row, in the mean, when keys lose packets and have not said how many.
 const BURST: f64 = 4.0;
+/// Factor by which one press of a key makes that longer, and the most.
+const BURST_STEP: f64 = 2.0;
+const MAX_BURST: f64 = 64.0;
+/// Rates of a link that keys go through, bits per second; past the last there is no limit.
+const RATES_BPS: [f64; 9] = [0.25e6, 0.5e6, 1e6, 2e6, 5e6, 10e6, 20e6, 50e6, 100e6];
+/// Delay that one press of a key adds or takes away, and the most, milliseconds towards the viewer.
+const DELAY_STEP_MS: f64 = 20.0;
+const MAX_DELAY_MS: f64 = 1000.0;
 /// Backgrounds that a key goes through.
 const BACKGROUNDS: [[f32; 3]; 4] = [[0.0; 3], [0.25; 3], [0.75; 3], [1.0; 3]];
 
@@ -60,7 +71,13 @@ pub(crate) enum Act {
     Cap(usize),
     Overlay,
     Loss(f64),
+    /// The factor of the mean run.
+    Burst(f64),
     Reseed,
+    LowerRate,
+    HigherRate,
+    /// Milliseconds more.
+    Delay(f64),
     Scheduler,
     Background,
     KeepUp,
@@ -114,7 +131,13 @@ impl Act {
             "o" => Self::Overlay,
             "[" => Self::Loss(-LOSS_STEP),
             "]" => Self::Loss(LOSS_STEP),
+            "c" => Self::Burst(1.0 / BURST_STEP),
+            "v" => Self::Burst(BURST_STEP),
             "n" => Self::Reseed,
+            "g" => Self::LowerRate,
+            "t" => Self::HigherRate,
+            "m" => Self::Delay(-DELAY_STEP_MS),
+            "j" => Self::Delay(DELAY_STEP_MS),
             "p" => Self::Scheduler,
             "b" => Self::Background,
             "r" => Self::KeepUp,
@@ -157,7 +180,12 @@ impl Act {
             Self::NextUp => *session.orbit_mut() = session.orbit().with_up(session.orbit().up().next()),
             Self::Cap(cap) => session.set_cap(cap),
             Self::Overlay => session.set_overlay(session.overlay().next()),
-            Self::Loss(_) | Self::Reseed => {
+            Self::Loss(_)
+            | Self::Burst(_)
+            | Self::Reseed
+            | Self::LowerRate
+            | Self::HigherRate
+            | Self::Delay(_) => {
                 if let Some(conditions) = self.network(session.conditions()) {
                     session.impair(conditions)?;
                 }
@@ -175,9 +203,28 @@ impl Act {
             Self::Loss(more) => {
                 // Steps add up to whole percents.
                 let loss = (100.0 * (before.loss + more)).round().clamp(0.0, 90.0) / 100.0;
-                Some(Conditions { loss, burst: BURST, ..before })
+                let is_chosen = before.loss > 0.0 || before.burst > 1.0;
+                let burst = if is_chosen { before.burst } else { BURST };
+                Some(Conditions { loss, burst: possible_burst(loss, burst), ..before })
+            }
+            Self::Burst(factor) => {
+                let burst = (before.burst * factor).round().clamp(1.0, MAX_BURST);
+                Some(Conditions { burst: possible_burst(before.loss, burst), ..before })
             }
             Self::Reseed => Some(Conditions { seed: before.seed.wrapping_add(1), ..before }),
+            Self::LowerRate => {
+                let is_lower = |rate: f64| before.rate_bps.is_none_or(|now| rate < now);
+                let lower = RATES_BPS.into_iter().rev().find(|&rate| is_lower(rate));
+                Some(Conditions { rate_bps: lower.or(before.rate_bps), ..before })
+            }
+            Self::HigherRate => {
+                let next = |now: f64| RATES_BPS.into_iter().find(|&rate| rate > now);
+                Some(Conditions { rate_bps: before.rate_bps.and_then(next), ..before })
+            }
+            Self::Delay(more_ms) => {
+                let delay_ms = (1e3 * before.delay_s + more_ms).round().clamp(0.0, MAX_DELAY_MS);
+                Some(Conditions { delay_s: delay_ms / 1e3, ..before })
+            }
             _ => None,
         }
     }
@@ -186,6 +233,14 @@ impl Act {
     pub fn seeks(self) -> bool {
         matches!(self, Self::Toggle | Self::Step(_) | Self::Start | Self::End)
     }
+}
+
+/// The mean run of lost packets that is asked for, but no shorter than it takes to lose a share `loss`; at 1
+/// losses are independent, and any share can be lost.
+fn possible_burst(loss: f64, burst: f64) -> f64 {
+    // In ten-thousandths, as a server counts it: what should be whole would else be rounded up.
+    let lost = (1e4 * loss).round();
+    if burst > 1.0 { burst.max((lost / (1e4 - lost)).ceil()) } else { 1.0 }
 }
 
 /// The background after `now`.
@@ -246,6 +301,45 @@ mod tests {
         let seed = session.conditions().seed;
         press(&mut session, "n");
         assert_eq!(session.conditions().seed, seed + 1);
+    }
+
+    #[test]
+    fn keys_change_the_link_in_steps() {
+        let mut session = session();
+        // Keys that lose packets lose them in runs of four, unless another length was chosen.
+        for (key, burst) in [("]", 4.0), ("V", 8.0), ("]", 8.0), ("c", 4.0), ("c", 2.0), ("c", 1.0)] {
+            press(&mut session, key);
+            assert_eq!(session.conditions().burst, burst, "{key}");
+        }
+        press(&mut session, "]");
+        assert_eq!((session.conditions().loss, session.conditions().burst), (0.15, 1.0), "independent");
+        for (key, rate) in
+            [("g", Some(100e6)), ("G", Some(50e6)), ("t", Some(100e6)), ("t", None), ("t", None)]
+        {
+            press(&mut session, key);
+            assert_eq!(session.conditions().rate_bps, rate, "{key}");
+        }
+        (0..20).for_each(|_| press(&mut session, "g"));
+        assert_eq!(session.conditions().rate_bps, Some(0.25e6));
+        for (key, delay_s) in [("j", 0.02), ("j", 0.04), ("m", 0.02), ("m", 0.0), ("m", 0.0)] {
+            press(&mut session, key);
+            assert_eq!(session.conditions().delay_s, delay_s, "{key}");
+        }
+        (0..60).for_each(|_| press(&mut session, "j"));
+        assert_eq!(session.conditions().delay_s, 1.0);
+    }
+
+    /// What keys ask a server for is within what it grants.
+    #[test]
+    fn no_run_is_too_short_for_the_loss() {
+        let mut now = Conditions::default();
+        for (loss, burst) in [(0.5, 4.0), (0.8, 4.0), (0.85, 6.0), (0.9, 9.0)] {
+            while now.loss < loss {
+                now = Act::Loss(LOSS_STEP).network(now).unwrap();
+            }
+            assert_eq!((now.loss, now.burst), (loss, burst));
+        }
+        assert_eq!(Act::Burst(0.5).network(now).unwrap().burst, 9.0);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use dgs_viewer::{Conditions, DrawOptions, Drawn, KeepUp, Screen, Session, Wanted
 use crate::{
     Arrival, Feed, FeedRequest, WindowError, WindowOptions,
     controls::{Act, next_background},
-    title::title,
+    title::{Rates, title},
 };
 
 /// Frames that a device may be given before it has finished the first of them.
@@ -21,7 +21,7 @@ const ARRIVING_S: f64 = 0.02;
 const LONGEST_S: f64 = 0.1;
 /// How soon to look again at what arrives while nothing is seen.
 const HIDDEN_S: f64 = 0.25;
-/// Over how long frames are counted, seconds.
+/// Over how long frames and bits are counted, seconds.
 const COUNTED_S: f64 = 0.5;
 /// Packets of others that one look takes at most, so that a flood does not stop the pictures.
 const MAX_ARRIVALS: usize = 1024;
@@ -51,8 +51,9 @@ pub(crate) struct Engine {
     wanted_s: Option<f64>,
     keep_up: KeepUp,
     frames: u64,
-    counted: (f64, u64),
-    rate: f64,
+    /// Until when frames and bytes were counted last, seconds, and how many there were.
+    counted: (f64, u64, u64),
+    rates: Rates,
     /// Whether the clip has ended and the window is to close.
     ended: bool,
     complaints: Vec<String>,
@@ -76,8 +77,8 @@ impl Engine {
             wanted_s: None,
             keep_up: KeepUp::default(),
             frames: 0,
-            counted: (0.0, 0),
-            rate: 0.0,
+            counted: (0.0, 0, 0),
+            rates: Rates::default(),
             ended: false,
             complaints: Vec::new(),
         }
@@ -140,7 +141,7 @@ impl Engine {
                 let reduced =
                     if reduced.is_empty() { reduced } else { format!(" · keeping up with {reduced}") };
                 let whole = if self.keep_up.is_on() { "" } else { " · always whole" };
-                title(&self.options.name, session, self.rate, network.loss) + &scheduler + &reduced + whole
+                title(&self.options.name, session, self.rates, &network) + &scheduler + &reduced + whole
             }
             None => format!("{} · loading", self.options.name),
         }
@@ -240,13 +241,16 @@ impl Engine {
         Ok(())
     }
 
-    /// Counts frames per second.
+    /// Counts frames and bits per second.
     fn count(&mut self, now_s: f64) {
-        let (since, frames) = self.counted;
+        let (since, frames, bytes) = self.counted;
         let passed = now_s - since;
         if passed >= COUNTED_S {
-            self.rate = (self.frames - frames) as f64 / passed;
-            self.counted = (now_s, self.frames);
+            let arrived = self.session.as_ref().map_or(0, Session::delivered_bytes);
+            // Fewer than before where packets come anew.
+            let bits = 8.0 * arrived.saturating_sub(bytes) as f64 / passed;
+            self.rates = Rates { frames: (self.frames - frames) as f64 / passed, bits };
+            self.counted = (now_s, self.frames, arrived);
         }
     }
 

@@ -70,6 +70,8 @@ impl SceneOutput {
     /// By the ending of a name, of `FileFormat::ENDINGS` and `others`.
     fn named(path: &Path, others: &str) -> Result<Self> {
         // A folder that is there may be called anything.
+        let endings = FileFormat::ENDINGS.split(", ").chain([".4dgs", ".dgs"]);
+        files::check_no_bare_ending(path, endings)?;
         let Some(ending) = path.extension().filter(|_| !path.is_dir()) else { return Ok(Self::Folder) };
         files::check_no_pattern(path)?;
         if let Some(format) = FileFormat::of(path) {
@@ -243,6 +245,11 @@ mod tests {
         for name in ["50%.ply", "my%20dog.ply"] {
             assert_eq!(of(name).unwrap(), SceneOutput::File(FileFormat::Ply));
         }
+        for name in [".ply", "out/.SPZ", ".compressed.ply", ".4dgs", ".dgs"] {
+            let error = of(name).unwrap_err().to_string();
+            assert!(error.contains("is an ending without a name"), "{name}: {error}");
+        }
+        assert_eq!(of(".frames").unwrap(), SceneOutput::Folder);
         let error = of("x.obj").unwrap_err().to_string();
         assert!(error.contains("x.obj") && error.contains(".compressed.ply"), "{error}");
     }

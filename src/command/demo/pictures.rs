@@ -4,7 +4,10 @@
 use anyhow::Result;
 use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
-use render_host::{Backend, Camera, Image, Settings, metric};
+use render_host::{
+    Backend, Camera, Image, Settings,
+    metric::{self, distortion::STRUCTURE_WEIGHT},
+};
 use trainer_host::{
     Scene,
     evaluator::{self, PSNR_CAP_DB, Score},
@@ -12,6 +15,7 @@ use trainer_host::{
 
 use crate::{
     delivery::ShownState,
+    figures::mean,
     report::{Picture, Strip},
 };
 
@@ -49,6 +53,8 @@ pub(super) struct Measured {
 pub(super) struct Seen {
     /// Per frame.
     pub(super) scores: Vec<Score>,
+    /// Per frame, as [`metric::distortion()`].
+    distortions: Vec<f64>,
     /// Flicker of every frame but the first against the one before.
     changes: Vec<f64>,
     /// The last picture that was added.
@@ -62,8 +68,10 @@ impl Seen {
         let mut images: Vec<Image> = self.last.take().into_iter().chain(images).collect();
         let before = usize::from(!self.scores.is_empty());
         let pairs = images[before..].par_iter().zip(&references[before..]);
-        let scores: Result<Vec<Score>, _> = pairs.map(|(a, b)| evaluator::score(a, b)).collect();
-        self.scores.extend(scores?);
+        let measured: Result<Vec<(Score, f64)>> = pairs.map(|(a, b)| measured(a, b)).collect();
+        let (scores, distortions): (Vec<Score>, Vec<f64>) = measured?.into_iter().unzip();
+        self.scores.extend(scores);
+        self.distortions.extend(distortions);
         let pairs = images.par_windows(2).zip(references.par_windows(2));
         let changes: Result<Vec<f64>, _> = pairs.map(|(a, b)| metric::flicker(a, b)).collect();
         self.changes.extend(changes?);
@@ -71,11 +79,24 @@ impl Seen {
         Ok(())
     }
 
+    /// Mean of [`metric::distortion()`] over all frames; NaN if there are none.
+    pub(super) fn distortion(&self) -> f64 {
+        mean(&self.distortions)
+    }
+
     /// As [`metric::flicker`] of all pictures.
     pub(super) fn flicker(&self) -> f64 {
         // The sum of nothing is -0.
         (self.changes.iter().sum::<f64>() + 0.0) / self.changes.len().max(1) as f64
     }
+}
+
+/// PSNR and SSIM of `image` against `reference`, and [`metric::distortion()`] of the same SSIM, which takes
+/// most of the time.
+fn measured(image: &Image, reference: &Image) -> Result<(Score, f64)> {
+    let score = evaluator::score(image, reference)?;
+    let distortion = metric::mse(image, reference)? + STRUCTURE_WEIGHT * (1.0 - score.ssim);
+    Ok((score, distortion))
 }
 
 impl Rendering<'_> {
@@ -198,6 +219,9 @@ mod tests {
         let flicker = metric::flicker(&images, &references).unwrap();
         let scores: Vec<Score> =
             images.iter().zip(&references).map(|(a, b)| evaluator::score(a, b).unwrap()).collect();
+        let distortions = images.iter().zip(&references).map(|(a, b)| metric::distortion(a, b).unwrap());
+        let distortions: Vec<f64> = distortions.collect();
+        assert!(distortions[0] > 0.0);
 
         let rendering = Rendering { scene: &scene, content: &content, camera, settings, backend };
         for chunk_frames in [1, 2, 3, 7, 100] {
@@ -206,6 +230,8 @@ mod tests {
             assert_eq!((complete_psnr_db.len(), runs.len()), (7, 2));
             assert_eq!(runs[0].scores, scores, "{chunk_frames} at once");
             assert_eq!(runs[0].flicker().to_bits(), flicker.to_bits(), "{chunk_frames} at once");
+            assert_eq!(runs[0].distortions, distortions, "{chunk_frames} at once");
+            assert_eq!(runs[0].distortion().to_bits(), mean(&distortions).to_bits());
             assert!(runs[1].scores[0].psnr_db < scores[0].psnr_db);
             assert_eq!(strips.iter().map(|strip| strip.frame).collect::<Vec<_>>(), [0, 2, 4, 6]);
             for strip in &strips {

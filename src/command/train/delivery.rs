@@ -8,6 +8,7 @@ mod rank;
 use std::{cell::RefCell, io::IsTerminal as _, ops::ControlFlow, time::Instant as Clock};
 
 use anyhow::{Context, Result, bail};
+use render_host::Backend;
 use serde_json::json;
 use trainer_host::{
     Scene,
@@ -16,7 +17,7 @@ use trainer_host::{
         self, Dataset,
         delivery::{
             DeliveryError, DeliveryOptions, FineTuned, RankChoice, Record, Recording, Reference, Tuning,
-            Update, resume,
+            Update, Variant, resume,
         },
     },
 };
@@ -89,6 +90,27 @@ pub(super) fn check(
     Ok(())
 }
 
+/// That the tail holds more than the fraction of worlds that `options` name, where that is less than one.
+pub(super) fn tail_in_words(options: &DeliveryOptions) -> Option<String> {
+    let counts = matches!(options.variant, Variant::BurstCvar | Variant::Combined);
+    let (fraction, worlds) = (options.weights.cvar_fraction, options.worlds);
+    let is_less = fraction * (worlds as f64) < 1.0;
+    (counts && options.weights.cvar > 0.0 && is_less).then(|| {
+        format!(
+            "--delivery: weights.cvar_fraction is {fraction}, less than one of {worlds} worlds per update; \
+             the tail is the worst world, 1/{worlds} of them"
+        )
+    })
+}
+
+/// That a training on `device`, by its name for reports, is fine-tuned on another.
+pub(super) fn device_in_words(device: &str) -> Option<String> {
+    let processor = Backend::Cpu.name();
+    (device != processor).then(|| {
+        format!("--delivery: fine-tuning runs on the processor ({processor}); the training ran on {device}")
+    })
+}
+
 /// What is typed of a training, and means nothing where the scene is there already.
 fn unused(args: &Train) -> Vec<&'static str> {
     let of_training = [
@@ -144,7 +166,7 @@ pub(super) fn run(
         folder.stream.display(),
         folder.report.display()
     );
-    let mut notes = Vec::new();
+    let mut notes: Vec<String> = tail_in_words(options).into_iter().collect();
     let unused = unused(args);
     if !unused.is_empty() {
         let named = unused.join(", ");
@@ -357,4 +379,33 @@ fn reference(
     // By a whole number, as photographs are reduced; one that leaves something of the shorter side.
     let by = (shortest / 400).max(longest.div_ceil(max_side)).clamp(1, shortest);
     Reference::of_photograph(view, scene, by, background).context("--references")
+}
+
+#[cfg(test)]
+mod tests {
+    use trainer_host::train::delivery::Weights;
+
+    use super::*;
+
+    #[test]
+    fn a_tail_of_less_than_one_world_is_said_where_it_counts() {
+        let of = |variant, worlds, weights| {
+            tail_in_words(&DeliveryOptions { worlds, weights, ..DeliveryOptions::of(variant) })
+        };
+        let plain = Weights::default();
+        let words = of(Variant::Combined, 16, plain).unwrap();
+        assert!(words.contains("cvar_fraction is 0.05") && words.contains("1/16 of them"), "{words}");
+        assert!(of(Variant::BurstCvar, 19, plain).is_some());
+        assert_eq!(of(Variant::Combined, 20, plain), None, "one world exactly");
+        assert_eq!(of(Variant::Iid, 16, plain), None, "without a tail");
+        assert_eq!(of(Variant::Combined, 16, Weights { cvar: 0.0, ..plain }), None);
+        assert_eq!(of(Variant::Combined, 16, Weights { cvar_fraction: 0.1, ..plain }), None);
+    }
+
+    #[test]
+    fn a_device_that_does_not_fine_tune_is_named() {
+        assert_eq!(device_in_words(&Backend::Cpu.name()), None);
+        let words = device_in_words("llvmpipe (Vulkan, Mesa)").unwrap();
+        assert!(words.contains("on the processor (cpu)") && words.contains("llvmpipe"), "{words}");
+    }
 }

@@ -139,7 +139,7 @@ impl Plan {
         for (index, frames) in self.parts.frames.iter().enumerate() {
             let out = epoch_folder(&typed.out, index);
             let (args, folder) = (self.args_of(typed, &out, frames.len(), dataset.frames), Folder::of(&out));
-            let _lock = folder.open(&args)?;
+            let _opened = folder.open(&args)?;
             let part = rendered::part(dataset, scene, frames.clone());
             let resumed = resumed(&args, &folder)?;
             let options = with_typed(self.options.clone(), &args);

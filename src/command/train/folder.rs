@@ -2,13 +2,37 @@
 
 use std::{
     collections::BTreeMap,
-    fs::{File, TryLockError},
+    fs::{DirEntry, File, TryLockError},
     path::{Path, PathBuf},
 };
 
 use anyhow::{Context, Result, bail};
 
 use crate::{args::train::Train, files, pipeline};
+
+/// The file of options of the encoder, which is there before the first step.
+const ENCODER: &str = "encoder.json";
+
+/// The folder of a training that is under way.
+pub(super) struct Opened {
+    /// Where it is, if it was made for this training.
+    made: Option<PathBuf>,
+    /// Keeps others out.
+    _lock: Option<File>,
+}
+
+impl Drop for Opened {
+    fn drop(&mut self) {
+        let Some(out) = &self.made else { return };
+        let is_bare =
+            |entry: std::io::Result<DirEntry>| entry.is_ok_and(|entry| entry.file_name() == ENCODER);
+        if std::fs::read_dir(out).is_ok_and(|mut entries| entries.all(is_bare)) {
+            // What cannot be removed stays: why the training ended is what matters.
+            let _ = std::fs::remove_file(out.join(ENCODER));
+            let _ = std::fs::remove_dir(out);
+        }
+    }
+}
 
 /// Files in the folder of a training.
 pub(super) struct Folder {
@@ -56,7 +80,7 @@ impl Folder {
             log: file("log.csv"),
             preview: file("preview.png"),
             report: file("report.html"),
-            encoder: file("encoder.json"),
+            encoder: file(ENCODER),
             ranks: file("ranks.json"),
             registration: file("registration.json"),
             tuning: file("delivery.dgst"),
@@ -71,8 +95,8 @@ impl Folder {
     }
 
     /// Makes the folder, or refuses one that is in use. No other training opens it while what this returns
-    /// lives.
-    pub(super) fn open(&self, args: &Train) -> Result<Option<File>> {
+    /// lives; a folder that was made, and has nothing of the training in the end, goes with it.
+    pub(super) fn open(&self, args: &Train) -> Result<Opened> {
         let out = &args.out;
         let begun = [&self.checkpoint, &self.epochs, &self.ranks, &self.tuning];
         if args.resume && !begun.iter().any(|file| file.is_file()) {
@@ -81,9 +105,10 @@ impl Folder {
         if !out.is_dir() && out.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("dgs")) {
             bail!("{}: several files are written, among them scene.dgs: name a folder", out.display());
         }
+        let is_new = !out.exists();
         std::fs::create_dir_all(out)
             .with_context(|| format!("{}: cannot make this folder", out.display()))?;
-        let lock = lock(out)?;
+        let opened = Opened { made: is_new.then(|| out.clone()), _lock: lock(out)? };
         let used = self.stream.exists() || begun.iter().any(|file| file.exists());
         if !args.resume && !args.overwrite && used {
             bail!("{}: holds a training; --resume goes on with it, --overwrite replaces it", out.display());
@@ -104,7 +129,7 @@ impl Folder {
             );
         }
         if args.resume {
-            return Ok(lock);
+            return Ok(opened);
         }
         // What is left of another training would be taken for a part of this one.
         for file in all().filter(|file| file.is_file()) {
@@ -114,7 +139,7 @@ impl Folder {
             // A folder in which somebody has put more stays.
             let _ = std::fs::remove_dir(&epoch);
         }
-        Ok(lock)
+        Ok(opened)
     }
 
     fn files(&self) -> [&Path; 13] {
@@ -201,6 +226,25 @@ mod tests {
         let typed = ["--overwrite", "--delivery", options.to_str().unwrap()];
         let error = opened(folder.path(), &typed).unwrap_err().to_string();
         assert!(error.contains("read or written besides") && options.exists(), "{error}");
+    }
+
+    /// A folder that was there stays, as does one that has more than options of the encoder.
+    #[test]
+    fn a_folder_that_was_made_for_nothing_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("new");
+        let out_text = out.display().to_string();
+        let args = Typed::try_parse_from(["train", "synth:balls", "-o", &out_text]).unwrap().train;
+        let left = |file: &str| {
+            let opened = Folder::of(&out).open(&args).unwrap();
+            std::fs::write(out.join(file), "{}").unwrap();
+            drop(opened);
+            out.exists()
+        };
+        assert!(!left("encoder.json"), "nothing was trained");
+        assert!(left("checkpoint.dgst"));
+        std::fs::remove_file(out.join("checkpoint.dgst")).unwrap();
+        assert!(left("encoder.json"), "it was there before");
     }
 
     #[test]

@@ -4,13 +4,15 @@ use std::{
     fs::File,
     io::{ErrorKind, Read as _, Seek as _, Write as _},
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::{ChildStdin, Command, Stdio},
+    thread,
+    time::Duration,
 };
 
 use anyhow::{Context, Result, bail};
 use render_host::Image;
 
-use crate::files::PendingFile;
+use crate::files::{PendingFile, Writer};
 
 /// Encoders of ffmpeg that make H.264, best first, each with its options of quality.
 const ENCODERS: [(&str, &[&str]); 2] =
@@ -41,9 +43,14 @@ fn crf(quality: u8) -> u8 {
     (51.0 * (1.0 - f64::from(quality) / 100.0)).round() as u8
 }
 
+/// Between two looks at whether ffmpeg has ended.
+const LOOK_EVERY: Duration = Duration::from_millis(10);
+
 /// A video on its way.
 pub struct FfmpegVideo {
-    child: Child,
+    /// Dropped before `pending`: ffmpeg ends first, then its file goes.
+    ffmpeg: Writer,
+    pipe: Option<ChildStdin>,
     pending: PendingFile,
     target: PathBuf,
     size: (u32, u32),
@@ -74,7 +81,7 @@ impl FfmpegVideo {
         };
         let pending = PendingFile::begin(target)?;
         let log = tempfile::tempfile().context("ffmpeg: cannot keep what it says")?;
-        let child = Command::new("ffmpeg")
+        let mut child = Command::new("ffmpeg")
             .args(["-hide_banner", "-loglevel", "error", "-y"])
             .args(["-f", "rawvideo", "-pix_fmt", "rgb24"])
             .args(["-video_size", &format!("{}x{}", size.0, size.1)])
@@ -91,7 +98,8 @@ impl FfmpegVideo {
             .stderr(log.try_clone().context("ffmpeg: cannot keep what it says")?)
             .spawn()
             .context("ffmpeg: cannot run")?;
-        Ok(Self { child, pending, target: target.to_owned(), size, log })
+        let pipe = child.stdin.take();
+        Ok(Self { ffmpeg: Writer::new(child), pipe, pending, target: target.to_owned(), size, log })
     }
 
     /// Adds the next picture.
@@ -100,18 +108,24 @@ impl FfmpegVideo {
             let ((w, h), (width, height)) = (picture.size(), self.size);
             bail!("found {w} × {h} pixels; {width} × {height}, as of the first, are allowed");
         }
-        let Some(pipe) = &mut self.child.stdin else { bail!("ffmpeg takes no more pictures") };
-        match pipe.write_all(&picture.to_rgb8()) {
-            Ok(()) => Ok(()),
-            // It has ended, and says why.
-            Err(_) => bail!("ffmpeg: {}", self.said()),
+        let Some(pipe) = &mut self.pipe else { bail!("ffmpeg takes no more pictures") };
+        if pipe.write_all(&picture.to_rgb8()).is_ok() {
+            return Ok(());
         }
+        // It has ended, and says why, unless this process is being ended too.
+        self.ffmpeg.ended().context("ffmpeg: cannot wait for its end")?;
+        bail!("ffmpeg: {}", self.said())
     }
 
     /// Ends the video and gives it its name.
     pub(super) fn finish(mut self) -> Result<()> {
-        drop(self.child.stdin.take());
-        let status = self.child.wait().context("ffmpeg: cannot wait for its end")?;
+        drop(self.pipe.take());
+        let status = loop {
+            match self.ffmpeg.ended().context("ffmpeg: cannot wait for its end")? {
+                Some(status) => break status,
+                None => thread::sleep(LOOK_EVERY),
+            }
+        };
         if !status.success() {
             let said = self.said();
             bail!("{}: ffmpeg ended with {status}: {said}", self.target.display());

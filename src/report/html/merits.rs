@@ -29,7 +29,15 @@ struct Column {
 
 /// The headline table.
 #[rustfmt::skip]
-const COLUMNS: [Column; 10] = [
+const COLUMNS: [Column; 11] = [
+    Column { name: "Mean PSNR", unit: "dB", better: Better::Up, decimals: 2, value: |r| r.mean_psnr_db },
+    Column { name: "Worst 10 %", unit: "PSNR, \
+        dB", better: Better::Up, decimals: 2, value: |r| r.tail_psnr_db },
+    Column { name: "D", unit: "10⁻³", better: Better::Down, decimals: 2, value: |r| 1e3 * r.distortion },
+    Column { name: "SSIM", unit: "0–1", better: Better::Up, decimals: 4, value: |r| r.mean_ssim },
+    Column { name: "Flicker", unit: "10⁻³ of \
+        range", better: Better::Down, decimals: 2, value: |r| 1e3 * r.flicker },
+    Column { name: "Frozen", unit: "frames", better: Better::Down, decimals: 0, value: |r| r.frozen_frames as f64 },
     Column { name: "Startup", unit: "ms", better: Better::Down, decimals: 0, value: |r| r.delivery.startup_ms.unwrap_or(f64::NAN) },
     Column { name: "Deadline miss", unit: "% of \
         groups", better: Better::Down, decimals: 1, value: |r| 100.0 * r.delivery.miss_rate },
@@ -37,14 +45,6 @@ const COLUMNS: [Column; 10] = [
         groups", better: Better::Down, decimals: 1, value: |r| 100.0 * r.delivery.base_miss_rate },
     Column { name: "Utility", unit: "share, \
         0–1", better: Better::Up, decimals: 3, value: |r| r.delivery.utility },
-    Column { name: "Mean PSNR", unit: "dB", better: Better::Up, decimals: 2, value: |r| r.mean_psnr_db },
-    Column { name: "Worst 10 %", unit: "PSNR, \
-        dB", better: Better::Up, decimals: 2, value: |r| r.tail_psnr_db },
-    Column { name: "SSIM", unit: "0–1", better: Better::Up, decimals: 4, value: |r| r.mean_ssim },
-    Column { name: "Flicker", unit: "10⁻³ of \
-        range", better: Better::Down, decimals: 2, value: |r| 1e3 * r.flicker },
-    Column { name: "Usable \
-        goodput", unit: "Mbit/s", better: Better::Up, decimals: 2, value: |r| r.delivery.usable_goodput_bps / 1e6 },
     Column { name: "Wasted", unit: "KiB", better: Better::Down, decimals: 1, value: |r| kib(r.delivery.waste.total_bytes()) },
 ];
 
@@ -124,9 +124,9 @@ pub(super) fn headline(out: &mut String, runs: &[SchedulerRun]) {
          highlighted. A miss is a group active at a frame whose closure was not usable at its deadline; base \
          counts level 0 only. Utility is the usable share of the positive utility on offer. A frame that was \
          never shown counts as missed, and as background in the image metrics. Worst 10 % is the mean PSNR \
-         of \
-         the worst tenth of frames. Flicker is the mean absolute difference between shown and source \
-         frame-to-frame changes. Wasted bytes arrived and showed nothing.</p>\n",
+         of the worst tenth of frames, D the mean of MSE + 0.20 (1 − SSIM). Flicker is the mean absolute \
+         difference between shown and source frame-to-frame changes. Frozen frames stood still for want of \
+         their base. Wasted bytes arrived and showed nothing.</p>\n",
     );
     let limit = |run: &SchedulerRun| format!("{} by {}", escape(&run.name), escape(&run.limit));
     let limits: Vec<String> = runs.iter().map(limit).collect();

@@ -192,6 +192,37 @@ impl Browser {
         mouse("mouseReleased", last, 0).map(|_| ())
     }
 
+    /// Puts a finger on each place of the first entry of `path`, CSS pixels, moves them through the others, and
+    /// lifts them.
+    ///
+    /// # Errors
+    /// The browser does not answer.
+    pub fn touch(&mut self, path: &[&[[f64; 2]]]) -> Result<()> {
+        for (at, fingers) in path.iter().enumerate() {
+            let points = fingers.iter().enumerate().map(|(id, [x, y])| json!({ "x": x, "y": y, "id": id }));
+            let kind = if at == 0 { "touchStart" } else { "touchMove" };
+            let points: Vec<Value> = points.collect();
+            self.order("Input.dispatchTouchEvent", json!({ "type": kind, "touchPoints": points }))?;
+        }
+        self.order("Input.dispatchTouchEvent", json!({ "type": "touchEnd", "touchPoints": [] })).map(|_| ())
+    }
+
+    /// Drags the file at `path` over the place `[x, y]` of the page, CSS pixels, and drops it there. A page that
+    /// has not said in time that it takes it gets no drop.
+    ///
+    /// # Errors
+    /// The browser does not answer.
+    pub fn drop_file(&mut self, [x, y]: [f64; 2], path: &Path) -> Result<()> {
+        let data = json!({ "items": [], "files": [path], "dragOperationsMask": 1 });
+        for kind in ["dragEnter", "dragOver", "dragOver", "drop"] {
+            let event = json!({ "type": kind, "x": x, "y": y, "data": data });
+            self.order("Input.dispatchDragEvent", event)?;
+            // What the page says to that comes by another way.
+            thread::sleep(Duration::from_millis(200));
+        }
+        Ok(())
+    }
+
     /// Presses `key`, named as in JavaScript's events.
     ///
     /// # Errors

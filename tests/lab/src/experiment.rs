@@ -135,7 +135,8 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "train",
-        about: "one iteration of training by stage: time of picture, loss and gradients beside their error",
+        about: "one iteration of training by stage: time of motion, picture, loss, gradients and update, and \
+            of settings that trade accuracy for time, beside errors",
         run: train::run,
     },
     Experiment {
@@ -181,8 +182,8 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "workloads",
-        about: "schedulers over streams of 1 s to 3 min and 0.05 to 5 Mbit/s, on recordings that nothing was \
-            chosen on",
+        about: "schedulers over streams of 0.7 s to 3 min and 0.008 to 5 Mbit/s, on recordings that no \
+            constant was chosen on (to scale gains was, on four of them)",
         run: transport::workloads::run,
     },
     Experiment {
@@ -202,7 +203,8 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "convert",
-        about: "a million Gaussians from PLY to other formats: time, size, memory, beside splat-transform",
+        about: "a million Gaussians from PLY to other formats, and fewer Gaussians that look alike: time, size, \
+            memory, PSNR, beside splat-transform",
         run: convert::run,
     },
     Experiment {

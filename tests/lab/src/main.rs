@@ -33,8 +33,8 @@ struct Typed {
     /// Folder for tables (CSV) and drawings (SVG) of the benches that make them; none are written without.
     #[arg(long)]
     out: Option<PathBuf>,
-    /// Weights of LPIPS (AlexNet, safetensors), to measure it too: in `transport` and `erasure`, which also
-    /// finds them in the data folder (lpips/alexnet.safetensors).
+    /// Weights of LPIPS (AlexNet, safetensors), to measure it too: in `transport`, `workloads` and `erasure`;
+    /// the last also finds them in the data folder (lpips/alexnet.safetensors).
     #[arg(long, value_name = "FILE")]
     lpips: Option<PathBuf>,
     /// How many states per loss `erasure` measures with LPIPS, which takes longest: 1 to 128.

@@ -2,7 +2,11 @@
 
 use codec_core::internals::wire::manifest::Profile;
 
-use super::{EncodeError, EncodeOptions, Progress, progress::report, quantiser_class::QuantiserClasses};
+use super::{
+    EncodeError, EncodeOptions, Progress,
+    progress::{part, report},
+    quantiser_class::QuantiserClasses,
+};
 use crate::scene::Scene;
 
 /// A scene, its clusters, and which of them share steps because errors in them show alike.
@@ -27,8 +31,9 @@ impl<'s> Analysis<'s> {
         } else if options.pictures == 0 {
             QuantiserClasses::one(scene, options)?
         } else {
-            QuantiserClasses::measured(scene, options)?
+            QuantiserClasses::measured(scene, options, &part(progress, 0.0, 0.9))?
         };
+        report(progress, "analyse", 1.0)?;
         Ok(Self { scene, classes })
     }
 

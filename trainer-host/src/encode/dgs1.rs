@@ -26,11 +26,16 @@ use super::{
     cluster,
     decisions::{CanonicalRotation, DecisionInputs, Dgs1Decisions, EpochDecisions, Quantisers, digits},
     packetise::CellSymbols,
-    progress::report,
+    progress::{no_progress, part, report},
     quantiser_class::EpochClasses,
     statistics::{Model, Streams},
 };
 use crate::scene::{Epoch, Scene};
+
+/// Share of deciding that is done before entropy tables are, about.
+const DECIDE: f64 = 0.85;
+/// Share of deciding an epoch that goes to the trial of forms of rotation, about.
+const TRIAL: f64 = 0.3;
 
 /// Decides everything for the scene of `analysis`.
 ///
@@ -43,8 +48,11 @@ pub(super) fn decide(
 ) -> Result<Dgs1Decisions, EncodeError> {
     let scene = analysis.scene;
     let mut epochs = Vec::new();
+    let share_of_epoch = DECIDE / scene.epochs().len() as f64;
     for (e, epoch) in scene.epochs().iter().enumerate() {
-        report(progress, "decide", e as f64 / scene.epochs().len() as f64)?;
+        let begun = e as f64 * share_of_epoch;
+        let progress = &part(progress, begun, begun + share_of_epoch);
+        report(progress, "decide", 0.0)?;
         let classes = &analysis.classes.of_epoch(e, &options.quality);
         let mut clusters = classes.sets.to_vec();
         if !options.keep_invisible {
@@ -52,7 +60,8 @@ pub(super) fn decide(
         }
         let rotation = cheapest_rotation(epoch, &clusters, classes, scene, options)?;
         let epoch = canonical_rotation::reduced(epoch, &clusters, rotation);
-        epochs.push(decide_epoch(&epoch, rotation, clusters, classes, scene, options)?);
+        let progress = &part(progress, TRIAL, 1.0);
+        epochs.push(decide_epoch(&epoch, rotation, clusters, classes, scene, options, progress)?);
     }
     if epochs.iter().all(|epoch| epoch.clusters.is_empty()) {
         return Err(EncodeError::NeverDrawn);
@@ -72,7 +81,7 @@ pub(super) fn decide(
         tables: Vec::new(),
         table_sets: Vec::new(),
     };
-    report(progress, "entropy-code", 0.0)?;
+    report(progress, "entropy-code", DECIDE)?;
     decide_tables(scene, &mut decisions, options.table_choices)?;
     Ok(decisions)
 }
@@ -132,8 +141,11 @@ fn decide_epoch(
     classes: &EpochClasses<'_>,
     scene: &Scene,
     options: &EncodeOptions,
+    progress: Progress<'_>,
 ) -> Result<EpochDecisions, EncodeError> {
+    report(progress, "decide", 0.0)?;
     let members = in_sending_order(epoch, clusters, classes, options)?;
+    report(progress, "decide", 0.4)?;
     let (quants, clusters, origin) = canonical::decide(epoch, members, classes, options)?;
     let mut decisions = EpochDecisions {
         origin,
@@ -145,6 +157,7 @@ fn decide_epoch(
     };
     // Closed loop: motion is decided on canonical values as they are sent.
     let as_sent = canonical::quantise(epoch, &decisions, &quants, options.block_len)?;
+    report(progress, "decide", 0.6)?;
     decisions.windows = motion::decide(epoch, &decisions, &as_sent, scene.frames_per_second(), options);
     Ok(decisions)
 }
@@ -165,7 +178,7 @@ fn cheapest_rotation(
     let mut best = (f64::INFINITY, CanonicalRotation::AsGiven);
     for &rotation in canonical_rotation::candidates(epoch) {
         let epoch = canonical_rotation::reduced(epoch, &some, rotation);
-        let decisions = decide_epoch(&epoch, rotation, some.clone(), classes, scene, options)?;
+        let decisions = decide_epoch(&epoch, rotation, some.clone(), classes, scene, options, &no_progress)?;
         let symbols = [quantise_epoch(&epoch, &decisions, options.block_len, false)?];
         let mut streams = Streams::default();
         for (_, cells) in spans(&symbols) {

@@ -3,7 +3,7 @@
 use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
 use render_host::{
-    Backend, BackendError, Camera, CameraError, Image, ImageError, RenderError, Renderer, Settings, Splats,
+    Backend, BackendError, Camera, CameraError, Image, ImageError, RenderError, Settings, Splats,
     SplatsError, adjoint::AdjointError, metric,
 };
 
@@ -62,7 +62,7 @@ pub enum EvaluationError {
     Compare(#[from] ImageError),
 }
 
-/// The pictures that a PSNR is a mean over.
+/// The pictures that a PSNR is a mean over, each weighed by the share of it that the scene covers.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct MeasuredViews {
     /// Cameras.
@@ -109,6 +109,8 @@ pub struct Evaluator {
     backend: Backend,
     /// Frame by frame, one per camera.
     references: Vec<Image>,
+    /// The share of each that the scene covers, 0 to 1.
+    covered: Vec<f64>,
 }
 
 impl Evaluator {
@@ -128,12 +130,13 @@ impl Evaluator {
         let reference = |renderer: &mut drawing::Drawing, &(frame, camera): &(u32, usize)| {
             let instant = instant_at(scene, frame)?;
             let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
-            Ok(drawing::next(renderer, &splats, &cameras[camera], &settings)?)
+            Ok(drawing::with_coverage(renderer, &splats, &cameras[camera], &settings)?)
         };
         let views = views(&frames, cameras.len());
-        let references: Result<Vec<Image>, EvaluationError> =
+        let pictures: Result<Vec<(Image, f64)>, EvaluationError> =
             views.par_iter().map_init(|| backend.frames(), reference).collect();
-        Ok(Self { references: references?, cameras, frames, settings, backend: backend.clone() })
+        let (references, covered) = pictures?.into_iter().unzip();
+        Ok(Self { references, covered, cameras, frames, settings, backend: backend.clone() })
     }
 
     /// An evaluator that renders `frames` from the validation ring, never from held-out cameras.
@@ -158,29 +161,17 @@ impl Evaluator {
         Self::new(scene, cameras, frames, &Settings::default(), backend)
     }
 
-    /// What its pictures of `scene` are.
-    ///
-    /// # Errors
-    /// A frame past the end, or what the renderer refuses.
-    pub(super) fn measured(&self, scene: &Scene) -> Result<MeasuredViews, EvaluationError> {
-        let (mut shown, mut pixels) = (0.0, 0usize);
-        let mut renderer = Renderer::new();
-        for &frame in &self.frames {
-            let instant = instant_at(scene, frame)?;
-            let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
-            for camera in &self.cameras {
-                let rendered = renderer.render(&splats, camera, &self.settings)?;
-                shown += rendered.transmittance.iter().map(|&t| f64::from(t)).sum::<f64>();
-                pixels += rendered.transmittance.len();
-            }
-        }
-        Ok(MeasuredViews {
+    /// What its pictures are.
+    pub(super) fn measured(&self) -> MeasuredViews {
+        let pixels = |picture: &Image| f64::from(picture.width()) * f64::from(picture.height());
+        let sizes: Vec<f64> = self.references.iter().map(pixels).collect();
+        MeasuredViews {
             cameras: self.cameras.len(),
             frames: self.frames.len(),
             width: self.cameras.iter().map(Camera::width).max().unwrap_or(0),
             height: self.cameras.iter().map(Camera::height).max().unwrap_or(0),
-            covered: 1.0 - shown / pixels.max(1) as f64,
-        })
+            covered: weighted_mean(&self.covered, &sizes),
+        }
     }
 
     /// The frames it renders.
@@ -194,6 +185,17 @@ impl Evaluator {
     /// # Errors
     /// A frame past the end, or what the renderer refuses.
     pub fn psnr(&self, content: &Content<'_>, state: &[u8]) -> Result<Vec<f64>, EvaluationError> {
+        let each = self.psnr_of_pictures(content, state)?;
+        let mean = |of_frame: &Vec<f64>| of_frame.iter().sum::<f64>() / of_frame.len().max(1) as f64;
+        Ok(each.iter().map(mean).collect())
+    }
+
+    /// PSNR of `content` in `state` per frame and camera, dB, at most [`PSNR_CAP_DB`].
+    fn psnr_of_pictures(
+        &self,
+        content: &Content<'_>,
+        state: &[u8],
+    ) -> Result<Vec<Vec<f64>>, EvaluationError> {
         let content = content.with_state(state);
         let cameras = self.cameras.len().max(1);
         let frames = self.frames.par_iter().zip(self.references.par_chunks(cameras));
@@ -202,26 +204,40 @@ impl Evaluator {
             |(player, renderer), (&frame, references)| {
                 let shown = player.show(&content, frame)?;
                 let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree)?;
-                let mut sum = 0.0;
-                for (camera, reference) in self.cameras.iter().zip(references) {
+                let of_camera = |(camera, reference): (&Camera, &Image)| -> Result<f64, EvaluationError> {
                     let picture = drawing::next(renderer, &splats, camera, &self.settings)?;
-                    sum += metric::psnr(&picture, reference)?.min(PSNR_CAP_DB);
-                }
-                Ok(sum / cameras as f64)
+                    Ok(metric::psnr(&picture, reference)?.min(PSNR_CAP_DB))
+                };
+                self.cameras
+                    .iter()
+                    .zip(references)
+                    .map(of_camera)
+                    .collect::<Result<Vec<f64>, EvaluationError>>()
             },
         );
         evaluated.collect()
     }
 
-    /// Mean over frames and cameras of the PSNR of all of `stream`, dB.
+    /// Mean over frames and cameras of the PSNR of all of `stream`, dB, each picture at most [`PSNR_CAP_DB`]
+    /// and weighed by the share of it that the scene covers: where little is seen, little can be wrong.
     ///
     /// # Errors
     /// A stream that does not decode; otherwise as [`Evaluator::psnr`].
     pub fn whole(&self, stream: &Stream) -> Result<f64, EvaluationError> {
         let received = stream.receive()?;
         let content = received.content();
-        let each = self.psnr(&content, content.blocks)?;
-        Ok(each.iter().sum::<f64>() / each.len().max(1) as f64)
+        let each = self.psnr_of_pictures(&content, content.blocks)?;
+        Ok(weighted_mean(&each.concat(), &self.covered))
+    }
+}
+
+/// The mean of `values`, each weighed by its weight, 0 or more; where all weights are 0, the plain mean.
+fn weighted_mean(values: &[f64], weights: &[f64]) -> f64 {
+    let all: f64 = weights.iter().sum();
+    if all > 0.0 {
+        values.iter().zip(weights).map(|(value, weight)| value * weight).sum::<f64>() / all
+    } else {
+        values.iter().sum::<f64>() / values.len().max(1) as f64
     }
 }
 
@@ -251,6 +267,46 @@ mod tests {
         assert_eq!(spread(10, 4, 9), [10, 11, 12, 13]);
         assert_eq!(spread(0, 60, 3), [10, 30, 50]);
         assert_eq!((spread(0, 1, 4), spread(7, 0, 4)), (vec![0], vec![]));
+    }
+
+    #[test]
+    fn pictures_count_by_the_share_that_the_scene_covers() {
+        assert_eq!(weighted_mean(&[30.0, 40.0], &[0.5, 0.5]), 35.0);
+        assert_eq!(weighted_mean(&[30.0, 40.0], &[0.75, 0.25]), 32.5);
+        assert_eq!(weighted_mean(&[30.0, 40.0], &[0.0, 0.0]), 35.0);
+
+        let options =
+            synth::SynthOptions { gaussians: 1000, frames: 2, kind: SynthKind::Figure, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let coarse = QuantiserSteps::default().scaled(4.0);
+        let options = EncodeOptions { quality: coarse, pictures: 0, ..EncodeOptions::default() };
+        let stream = encode(&scene, &options, &crate::encode::no_progress).unwrap().stream;
+        let framing = Framing::of(&scene);
+        let camera = |radius: f64| {
+            let framing = Framing { radius, ..framing };
+            framing.ring(Ring::Validation, 1, (96, 96)).unwrap().remove(0)
+        };
+        let (near, far) = (camera(framing.radius), camera(8.0 * framing.radius));
+        // PSNR of all, the plain mean over the pictures, and how much of them is covered.
+        let marks = |cameras: Vec<Camera>| {
+            let evaluator =
+                Evaluator::new(&scene, cameras, vec![0], &Settings::default(), &Backend::Cpu).unwrap();
+            let received = stream.receive().unwrap();
+            let content = received.content();
+            let plain = evaluator.psnr(&content, content.blocks).unwrap()[0];
+            (evaluator.whole(&stream).unwrap(), plain, evaluator.measured().covered)
+        };
+        let (alone, of_near, covered_near) = marks(vec![near.clone()]);
+        assert!((alone - of_near).abs() < 1e-9);
+        let (even, plain, covered) = marks(vec![near.clone(), near.clone()]);
+        assert!((even - plain).abs() < 1e-9 && (even - of_near).abs() < 1e-9, "{even}: {plain}, {of_near}");
+        assert!((covered - covered_near).abs() < 1e-9);
+        let (_, of_far, covered_far) = marks(vec![far.clone()]);
+        assert!(of_far > of_near + 3.0 && covered_far < 0.2 * covered_near, "{of_far}, {of_near}");
+        let (weighed, plain, _) = marks(vec![near, far]);
+        assert!((plain - 0.5 * (of_near + of_far)).abs() < 1e-9);
+        let expected = (covered_near * of_near + covered_far * of_far) / (covered_near + covered_far);
+        assert!((weighed - expected).abs() < 1e-9 && weighed < plain - 1.0, "{weighed}, {plain}");
     }
 
     #[test]

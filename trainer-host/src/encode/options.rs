@@ -24,7 +24,7 @@ pub enum Target {
     /// At most this many bytes on the wire: manifest, packets and parity, at least 1.
     Bytes(u64),
     /// At least this PSNR in dB, above 0 and at most 99: mean over validation cameras and frames spread
-    /// over the clip.
+    /// over the clip, each picture weighed by the share of it that the scene covers.
     PsnrDb(f64),
 }
 

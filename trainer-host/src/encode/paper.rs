@@ -42,9 +42,9 @@ pub(super) fn decide(
     options: &EncodeOptions,
     progress: Progress<'_>,
 ) -> Result<PaperDecisions, EncodeError> {
-    report(progress, "decide", 0.0)?;
-    let mut epochs = Vec::new();
+    let mut epochs: Vec<PaperEpochDecisions> = Vec::new();
     for (epoch, clusters) in analysis.scene.epochs().iter().zip(analysis.classes.clusters()) {
+        report(progress, "decide", epochs.len() as f64 / analysis.scene.epochs().len() as f64)?;
         let grid = Grid::of(epoch, 1.0);
         let quant = steps::paper(&options.quality, grid.step(&options.quality))?;
         epochs.push(PaperEpochDecisions {
@@ -75,7 +75,7 @@ pub(super) fn write(
     let mut plans = Vec::new();
     let mut first_frame = 0;
     for (e, (epoch, decided)) in scene.epochs().iter().zip(&decisions.epochs).enumerate() {
-        report(progress, "factorise", e as f64 / scene.epochs().len() as f64)?;
+        report(progress, "factorise", 0.4 * e as f64 / scene.epochs().len() as f64)?;
         plans.push(plan(epoch, first_frame, decided)?);
         first_frame += epoch.frames();
     }
@@ -87,7 +87,7 @@ pub(super) fn write(
     if clusters > usize::from(u16::MAX) {
         return Err(EncodeError::Bound { what: "clusters in profile paper", found: clusters, most: 65_535 });
     }
-    report(progress, "entropy-code", 0.0)?;
+    report(progress, "entropy-code", 0.4)?;
     let mut quants: Vec<Quant> = Vec::new();
     for plan in &plans {
         if !quants.contains(&plan.quant) {
@@ -103,7 +103,7 @@ pub(super) fn write(
         .collect();
     let groups = groups?;
 
-    report(progress, "packetise", 0.0)?;
+    report(progress, "packetise", 0.8)?;
     let mut ledger = Ledger {
         gaussians: scene.epochs().iter().map(|e| e.count() as u64).sum(),
         frames: scene.frames() as u64,

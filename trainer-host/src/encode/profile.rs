@@ -2,8 +2,14 @@
 
 use codec_core::internals::{ids::Level, limits, wire::manifest::Profile};
 
-use super::{Analysis, Decisions, EncodeError, EncodeOptions, Encoded, Progress, dgs1, paper};
+use super::{
+    Analysis, Decisions, EncodeError, EncodeOptions, Encoded, Progress, dgs1, paper,
+    progress::{part, report},
+};
 use crate::scene::{Scene, Track};
+
+/// Share of an encoding in profile `paper`, and in `dgs1`, that goes to deciding, about: the rest is writing.
+const DECIDING: [f64; 2] = [0.1, 0.8];
 
 /// Encodes the scene of `analysis` at the quality of `options`, whatever their target and search.
 pub(super) fn decide_and_write(
@@ -12,9 +18,10 @@ pub(super) fn decide_and_write(
     progress: Progress<'_>,
 ) -> Result<Encoded, EncodeError> {
     let mut options = options.clone();
+    let deciding = if options.profile == Profile::Paper { DECIDING[0] } else { DECIDING[1] };
     loop {
-        let decisions = decide(analysis, &options, progress)?;
-        match write(analysis.scene, &decisions, progress) {
+        let decisions = decide(analysis, &options, &part(progress, 0.0, deciding))?;
+        match write(analysis.scene, &decisions, &part(progress, deciding, 1.0)) {
             // A block whose symbols do not fit one packet is halved until they do.
             Err(EncodeError::BlockTooLarge { .. }) if options.block_len > 1 => {
                 options.block_len = options.block_len.div_ceil(2);
@@ -68,8 +75,9 @@ pub fn with_levels(
 ) -> Result<Encoded, EncodeError> {
     let Decisions::Dgs1(decided) = decisions else { return write(scene, decisions, progress) };
     decisions.check(scene)?;
+    report(progress, "entropy-code", 0.0)?;
     let decided = dgs1::with_levels(scene, decided.clone(), highest, table_choices)?;
-    write(scene, &Decisions::Dgs1(decided), progress)
+    write(scene, &Decisions::Dgs1(decided), &part(progress, 0.5, 1.0))
 }
 
 /// Encodes `scene`, whose canonical values `decisions` were made for or which have changed a little since:
@@ -87,8 +95,9 @@ pub fn reencode(
 ) -> Result<Encoded, EncodeError> {
     let Decisions::Dgs1(decided) = decisions else { return write(scene, decisions, progress) };
     decisions.check(scene)?;
+    report(progress, "decide", 0.0)?;
     let decided = dgs1::reencode(scene, decided.clone(), motion, options)?;
-    write(scene, &Decisions::Dgs1(decided), progress)
+    write(scene, &Decisions::Dgs1(decided), &part(progress, 0.7, 1.0))
 }
 
 /// What a manifest holds of frame rates, which are frames per 1000 seconds where they are no whole numbers.

@@ -15,7 +15,7 @@ mod step_refinement;
 pub(super) use epoch_classes::EpochClasses;
 
 use super::{
-    EncodeError, EncodeOptions, QuantiserSteps, cluster,
+    EncodeError, EncodeOptions, Progress, QuantiserSteps, cluster,
     decisions::QuantiserClass,
     sensitivity::{self, CLASSES, Weights},
     steps::{DGS1_MOST_RATIO, Factors, Grid},
@@ -75,9 +75,13 @@ impl QuantiserClasses {
     /// clustered apart; else whole clusters share a class.
     ///
     /// # Errors
-    /// What the renderer refuses; steps that the format does not hold.
-    pub fn measured(scene: &Scene, options: &EncodeOptions) -> Result<Self, EncodeError> {
-        let mut costs = sensitivity::measure(scene, options.pictures, &options.backend()?)?;
+    /// What the renderer refuses; steps that the format does not hold; `progress` stops the work.
+    pub fn measured(
+        scene: &Scene,
+        options: &EncodeOptions,
+        progress: Progress<'_>,
+    ) -> Result<Self, EncodeError> {
+        let mut costs = sensitivity::measure(scene, options.pictures, &options.backend()?, progress)?;
         for (epoch, costs) in scene.epochs().iter().zip(&mut costs) {
             let mut quality = options.quality;
             quality.position = Grid::of(epoch, DGS1_MOST_RATIO).step(&quality);
@@ -330,6 +334,7 @@ mod tests {
         encode::{
             encode,
             evaluator::{Evaluator, spread},
+            no_progress,
         },
         import::{
             Limits,
@@ -449,7 +454,8 @@ mod tests {
         for (kind, frames) in [(SynthKind::Figure, 1), (SynthKind::Figure, 6), (SynthKind::Births, 6)] {
             let options = synth::SynthOptions { gaussians: 1500, frames, kind, ..Default::default() };
             let scene = synth::make(&options, &Limits::default()).unwrap();
-            let classes = QuantiserClasses::measured(&scene, &EncodeOptions::default()).unwrap();
+            let classes =
+                QuantiserClasses::measured(&scene, &EncodeOptions::default(), &no_progress).unwrap();
             assert!(classes.factors.len() > 1, "{kind:?} {frames}");
             for (e, epoch) in scene.epochs().iter().enumerate() {
                 let own = classes.of_epoch(e, &QuantiserSteps::default());
@@ -475,12 +481,8 @@ mod tests {
         let evaluator = Evaluator::validation(&scene, spread(0, 1, 1)).unwrap();
         let marks = |pictures: usize, coarseness: f32| {
             let quality = QuantiserSteps::default().scaled(coarseness);
-            let encoded = encode(
-                &scene,
-                &EncodeOptions { pictures, quality, ..EncodeOptions::default() },
-                &crate::encode::no_progress,
-            )
-            .unwrap();
+            let options = EncodeOptions { pictures, quality, ..EncodeOptions::default() };
+            let encoded = encode(&scene, &options, &no_progress).unwrap();
             (encoded.report.ledger.wire(), evaluator.whole(&encoded.stream).unwrap())
         };
         let (even, psnr) = marks(0, 1.0);

@@ -9,7 +9,7 @@ use super::{
     Analysis, EncodeError, EncodeOptions, Encoded, Progress, QuantiserSteps, Report, SearchReport, Target,
     evaluator::{Evaluator, PSNR_CAP_DB, spread},
     profile::decide_and_write,
-    progress::report,
+    progress::{part, report},
     target,
 };
 use crate::scene::{Epoch, Scene};
@@ -42,12 +42,13 @@ pub(super) fn encode(
         return Ok(start);
     }
     let quality = start.report.quality;
-    let (quality, encodes) = on_a_part(analysis, options, quality, progress)?;
+    let searched = options.search as f64 / (options.search + target::MOST) as f64;
+    let (quality, encodes) = on_a_part(analysis, options, quality, &part(progress, 0.0, searched))?;
     // Sizes were asked for, or the PSNR that there was is to be kept.
     let wanted = options.target.unwrap_or(Target::PsnrDb(psnr));
     let again = EncodeOptions { quality, target: None, ..options.clone() };
     start.report.searched = Some(SearchReport { encodes, ..nothing });
-    let mut found = match target::encode(analysis, &again, wanted, progress) {
+    let mut found = match target::encode(analysis, &again, wanted, &part(progress, searched, 1.0)) {
         Ok(found) => found,
         Err(EncodeError::Unreachable { .. }) => return Ok(start),
         Err(error) => return Err(error),

@@ -13,7 +13,11 @@ use render_host::{
 };
 
 use crate::{
-    encode::evaluator::{EvaluationError, instant_at, spread},
+    encode::{
+        EncodeError, Progress,
+        evaluator::{EvaluationError, instant_at, spread},
+        progress::report,
+    },
     scene::Scene,
     viewpoint::Framing,
 };
@@ -42,16 +46,19 @@ const CUTOFF: f32 = 1e-5;
 /// Deterministic on any number of threads, for each `backend`.
 ///
 /// # Errors
-/// What the renderer refuses.
+/// What the renderer refuses; `progress`, which hears stage "analyse", stops the work.
 pub fn measure(
     scene: &Scene,
     pictures: usize,
     backend: &Backend,
-) -> Result<Vec<Vec<Weights>>, EvaluationError> {
+    progress: Progress<'_>,
+) -> Result<Vec<Vec<Weights>>, EncodeError> {
     let pictures = pictures.max(1);
-    let cameras = Framing::of(scene).around(pictures, SIZE)?;
+    let cameras = Framing::of(scene).around(pictures, SIZE).map_err(EvaluationError::from)?;
     let settings = Settings { alpha_cutoff: CUTOFF, ..Settings::default() }.with_footprint(scene.footprint);
-    let (mut differentiator, mut gradients) = (backend.differentiator()?, Gradients::default());
+    let mut differentiator = backend.differentiator().map_err(EvaluationError::from)?;
+    let mut gradients = Gradients::default();
+    let (mut done, all) = (0, pictures * scene.epochs().len());
     let (mut out, mut first) = (Vec::new(), 0);
     for epoch in scene.epochs() {
         let frames = epoch.frames() as u32;
@@ -63,11 +70,15 @@ pub fn measure(
                 gaussian.opacity = gaussian.opacity.clamp(OPACITIES.0, OPACITIES.1);
             }
             let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree);
-            let splats = splats?;
+            let splats = splats.map_err(EvaluationError::from)?;
             let rest = instant.sh_degree.rest_len();
             for (k, camera) in cameras.iter().enumerate().skip(k_frame).step_by(frames_seen.len()) {
                 let signs = Signs { seed: k as u64 };
-                differentiator.differentiate(&splats, camera, &settings, &signs, &mut gradients, None)?;
+                report(progress, "analyse", done as f64 / all as f64)?;
+                done += 1;
+                differentiator
+                    .differentiate(&splats, camera, &settings, &signs, &mut gradients, None)
+                    .map_err(EvaluationError::from)?;
                 add(&mut weights, &instant.gaussians, &gradients, rest, pictures);
             }
         }
@@ -147,9 +158,12 @@ mod tests {
     use render_host::Renderer;
 
     use super::*;
-    use crate::scene::{
-        Attributes, Epoch, Track,
-        activation::{logit, sigmoid},
+    use crate::{
+        encode::no_progress,
+        scene::{
+            Attributes, Epoch, Track,
+            activation::{logit, sigmoid},
+        },
     };
 
     /// A few Gaussians apart from each other, and one behind the others' backs that nobody sees much of.
@@ -193,7 +207,7 @@ mod tests {
     fn weights_are_what_small_changes_do_to_pictures() {
         let pictures = 64;
         let plain = scene(|_| {});
-        let weights = &measure(&plain, pictures, &Backend::Cpu).unwrap()[0];
+        let weights = &measure(&plain, pictures, &Backend::Cpu, &no_progress).unwrap()[0];
         let by = 0.004f32;
         for i in [0, 2] {
             // The mean over components, by differences.

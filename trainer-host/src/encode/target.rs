@@ -3,6 +3,8 @@
 //! Coarser steps give fewer bytes and a lower PSNR, nearly linearly in logarithms, so a bracketed
 //! secant on the logarithm of the coarseness needs few encodings. What is returned has been
 //! encoded and measured, so a stream that is not quite monotone costs closeness, never the promise.
+//!
+//! A PSNR is a mean over pictures, each weighed by the share of it that the scene covers.
 
 use render_host::Settings;
 
@@ -10,6 +12,7 @@ use super::{
     Analysis, Decisions, EncodeError, EncodeOptions, Encoded, Progress, Target, TargetReport, TargetViews,
     evaluator::{Evaluator, spread},
     profile::{decide_and_write, reencode},
+    progress::{named, part, report},
 };
 use crate::scene::Scene;
 
@@ -18,7 +21,18 @@ pub const COARSENESS: (f32, f32) = (1.0 / 16.0, 1024.0);
 /// Shortest and longest factor on the steps of motion alone that is tried.
 const MOTION_STEPS: (f64, f64) = (1.0 / 16.0, 16.0);
 /// Most encodings of a search.
-const MOST: usize = 8;
+pub(super) const MOST: usize = 8;
+/// What progress calls them.
+const TRIES: [&str; MOST] = [
+    "encoding 1 of at most 8",
+    "encoding 2 of at most 8",
+    "encoding 3 of at most 8",
+    "encoding 4 of at most 8",
+    "encoding 5 of at most 8",
+    "encoding 6 of at most 8",
+    "encoding 7 of at most 8",
+    "encoding 8 of at most 8",
+];
 /// Frames a PSNR is measured on.
 const FRAMES: u32 = 4;
 /// Sizes within this share below the target are close enough.
@@ -57,10 +71,11 @@ pub(super) fn encode(
         slope: if sign > 0.0 { 0.25 } else { 6.0 },
         close: if sign > 0.0 { CLOSE } else { CLOSE_DB },
     };
-    let found = search.run(|at| {
+    let found = search.run(|number, at| {
         let coarseness = (sign * at).exp() as f32;
-        let quality = options.quality.scaled(coarseness);
-        let encoded = decide_and_write(analysis, &EncodeOptions { quality, ..options.clone() }, progress)?;
+        let again = EncodeOptions { quality: options.quality.scaled(coarseness), ..options.clone() };
+        let progress = part(progress, share_before(number), share_before(number + 1));
+        let encoded = decide_and_write(analysis, &again, &named(&progress, TRIES[number]))?;
         let value = match (target, &evaluator) {
             (Target::PsnrDb(_), Some(evaluator)) => evaluator.whole(&encoded.stream)?,
             _ => size(target, &encoded),
@@ -76,7 +91,7 @@ pub(super) fn encode(
             coarseness,
         });
     }
-    let views = evaluator.map(|evaluator| evaluator.measured(scene)).transpose()?;
+    let views = evaluator.map(|evaluator| evaluator.measured());
     encoded.report.reached = Some(TargetReport { target, coarseness, encodes: found.tries, value, views });
     Ok(encoded)
 }
@@ -102,9 +117,10 @@ pub fn reencode_to_size(
     target.check()?;
     let (finest, coarsest) = MOTION_STEPS;
     let search = Search { low: finest.ln(), high: coarsest.ln(), slope: 0.2, close: CLOSE };
-    let found = search.run(|at| {
+    let found = search.run(|number, at| {
         let motion = at.exp() as f32;
-        match reencode(scene, decisions, motion, options, progress) {
+        let progress = part(progress, share_before(number), share_before(number + 1));
+        match reencode(scene, decisions, motion, options, &named(&progress, TRIES[number])) {
             // Motion as fine as this does not fit its packets: that, too, is more than there may be.
             Err(error @ EncodeError::BlockTooLarge { .. }) => Ok((NO_STREAM, Err(error))),
             encoded => {
@@ -126,7 +142,13 @@ pub fn reencode_to_size(
     let coarseness = motion;
     encoded.report.reached =
         Some(TargetReport { target, coarseness, encodes: found.tries, value, views: None });
+    report(progress, "done", 1.0)?;
     Ok(encoded)
+}
+
+/// Share of a search that is done before its encoding `number`, from 0.
+fn share_before(number: usize) -> f64 {
+    number as f64 / MOST as f64
 }
 
 /// What `target`, a size, is compared with.
@@ -163,10 +185,14 @@ struct BestPlace<T> {
 }
 
 impl Search {
-    /// Starts at 0; if nothing fits, the answer is the place that exceeds least.
-    fn run<T, E>(&self, mut measure: impl FnMut(f64) -> Result<(f64, T), E>) -> Result<BestPlace<T>, E> {
+    /// Starts at 0; if nothing fits, the answer is the place that exceeds least. `measure` is given how many
+    /// measurements there were, below [`MOST`], and a place.
+    fn run<T, E>(
+        &self,
+        mut measure: impl FnMut(usize, f64) -> Result<(f64, T), E>,
+    ) -> Result<BestPlace<T>, E> {
         let mut at = 0f64.clamp(self.low, self.high);
-        let (excess, what) = measure(at)?;
+        let (excess, what) = measure(0, at)?;
         let mut best = BestPlace { excess, what, tries: 1 };
         let (mut fits, mut exceeds) = (None, None);
         let (mut last, mut slope) = ((at, excess), self.slope);
@@ -176,7 +202,7 @@ impl Search {
             let next = self.next(fits, exceeds, slope, MOST - best.tries);
             let Some(next) = next.filter(|_| !close && best.tries < MOST) else { return Ok(best) };
             at = next;
-            let (excess, what) = measure(at)?;
+            let (excess, what) = measure(best.tries, at)?;
             let tries = best.tries + 1;
             let closer = match (excess <= 0.0, best.excess <= 0.0) {
                 (true, true) => excess > best.excess,
@@ -309,11 +335,11 @@ mod tests {
         let search = Search { low: -2.7, high: 4.1, slope: 0.25, close: 0.02 };
         for wanted in [-0.5, -0.3, 0.0, 0.4] {
             let stair = |u: f64| -0.02 * (10.0 * u).floor() + 0.01 * u * u - wanted;
-            let found = search.run(|u| Ok::<_, ()>((stair(u), u))).unwrap();
+            let found = search.run(|_, u| Ok::<_, ()>((stair(u), u))).unwrap();
             assert!(found.excess <= 0.0 && found.tries <= MOST, "{wanted} {}", found.excess);
             assert!(found.excess > -0.045 || found.what == -2.7, "{wanted} {}", found.excess);
         }
-        let never = search.run(|u| Ok::<_, ()>((9.0 - u, u))).unwrap();
+        let never = search.run(|_, u| Ok::<_, ()>((9.0 - u, u))).unwrap();
         assert_eq!((never.what, never.excess > 0.0), (4.1, true));
     }
 

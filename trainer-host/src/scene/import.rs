@@ -35,6 +35,7 @@ pub mod ply;
 pub mod points_npz;
 mod sequence;
 pub(crate) mod snapshot;
+mod sniffed;
 pub mod sog;
 pub mod splat;
 pub mod splatv;
@@ -49,8 +50,10 @@ pub use error::{ErrorKind, Format, ImportError};
 pub use limits::Limits;
 pub use sequence::{Identity, SEQUENCE_INDEX, SequenceIndex};
 pub use snapshot::Snapshot;
+pub use sniffed::{default_up, sniff};
 
-use crate::scene::{Scene, Up};
+use self::sniffed::{UNPICKLE, is_pickled};
+use crate::scene::Scene;
 
 /// How to import.
 #[derive(Clone, Debug, PartialEq)]
@@ -156,35 +159,6 @@ fn of_one_level(folder: &Path) -> ImportError {
     Format::Sog.unsupported(LEVELS_OF_DETAIL, "SOG's list of levels of detail", allowed)
 }
 
-/// What to do about a checkpoint: to read it is to run it, which is left to the program that wrote it.
-const UNPICKLE: &str = "the PLY that its trainer exports, or an npz of its arrays (gsplat's; Dynamic 3D \
-    Gaussians'; deformation fields):\n  \
-    import numpy, torch; params = torch.load(\"FILE\", map_location=\"cpu\"); \
-    params = params.get(\"splats\", params)\n  \
-    numpy.savez(\"params.npz\", **{name: value.detach().numpy() for name, value in params.items()})\n";
-
-/// Whether `bytes` are a checkpoint of torch: pickled, alone or in a zip.
-fn is_pickled(bytes: &[u8]) -> bool {
-    let is_plain = matches!(bytes, [0x80, 2..=5, ..]);
-    is_plain
-        || bytes.starts_with(b"PK")
-            && archive::Archive::new(bytes, &Limits::default(), Format::Unknown)
-                .is_ok_and(|archive| archive.has_ending("/data.pkl"))
-}
-
-/// Which way is up in most files of a format. Captures keep the axes of COLMAP, whose y points down; SPZ and
-/// glTF have a y that points up.
-pub fn default_up(format: Format) -> Option<Up> {
-    match format {
-        Format::Spz | Format::Gltf | Format::GltfSplats => Some(Up::Y),
-        Format::Ply | Format::CompressedPly | Format::Splat | Format::Sog | Format::Unity => Some(Up::MinusY),
-        Format::Ksplat | Format::Splatv | Format::DynamicNpz | Format::GsplatNpz | Format::Deformation => {
-            Some(Up::MinusY)
-        }
-        Format::PointsNpz | Format::FourDgs | Format::Sequence | Format::Unknown => None,
-    }
-}
-
 impl Format {
     /// The format of what [`import`] reads at `path`, where it can be read.
     pub fn of(path: &Path) -> Option<Self> {
@@ -196,62 +170,6 @@ impl Format {
             };
         }
         Some(sniff(&std::fs::read(path).ok()?, path))
-    }
-}
-
-/// The format that `bytes` look like; `path` decides only where content cannot.
-pub fn sniff(bytes: &[u8], path: &Path) -> Format {
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-    let start = bytes.trim_ascii_start();
-    if bytes.starts_with(b"ply") {
-        if compressed_ply::is_compressed(bytes) { Format::CompressedPly } else { Format::Ply }
-    } else if bytes.starts_with(&spz::MAGIC) || bytes.starts_with(&[0x1f, 0x8b]) {
-        Format::Spz
-    } else if bytes.starts_with(b"glTF") {
-        if gltf_splats::is_splats(bytes) { Format::GltfSplats } else { Format::Gltf }
-    } else if bytes.starts_with(b"PK") {
-        let names = archive::Archive::new(bytes, &Limits::default(), Format::Unknown);
-        match names {
-            Ok(a) if a.has("meta.json") => Format::Sog,
-            Ok(a) if a.has(dynamic_npz::MARK) => Format::DynamicNpz,
-            Ok(a) if points_npz::gsplat::is_in(&a) => Format::GsplatNpz,
-            Ok(a) if a.has("means3d.npy") => Format::PointsNpz,
-            Ok(_) if deformation::is_field(bytes) => Format::Deformation,
-            _ if extension == "npz" => Format::PointsNpz,
-            _ => Format::Sog,
-        }
-    } else if start.starts_with(b"{") {
-        if sog::is_meta(bytes) || path.file_name().is_some_and(|n| n == "meta.json") {
-            Format::Sog
-        } else if gltf_splats::is_splats(bytes) {
-            Format::GltfSplats
-        } else if extension == "gltf" || bytes.windows(7).any(|part| part == b"\"asset\"") {
-            Format::Gltf
-        } else {
-            Format::Unknown
-        }
-    } else if bytes.starts_with(&fourdgs::START) {
-        Format::FourDgs
-    } else if bytes.starts_with(&splatv::MAGIC) {
-        Format::Splatv
-    } else if bytes.starts_with(b"%YAML") {
-        Format::Unity
-    } else if tensors::is_safetensors(bytes) && deformation::is_field(bytes) {
-        Format::Deformation
-    } else {
-        match extension.as_str() {
-            "ply" => Format::Ply,
-            "spz" => Format::Spz,
-            "sog" => Format::Sog,
-            "npz" => Format::PointsNpz,
-            "glb" | "gltf" => Format::Gltf,
-            "asset" => Format::Unity,
-            "splat" => Format::Splat,
-            "ksplat" => Format::Ksplat,
-            "splatv" => Format::Splatv,
-            "4dgs" => Format::FourDgs,
-            _ => Format::Unknown,
-        }
     }
 }
 
@@ -384,13 +302,32 @@ fn unity_frame(description: &[u8], path: &Path, options: &ImportOptions) -> Resu
 
 fn read(path: &Path, options: &ImportOptions) -> Result<Vec<u8>, ImportError> {
     let io = |e: std::io::Error| Format::Unknown.io(&e, path);
-    let length = std::fs::metadata(path).map_err(io)?.len();
+    let found = std::fs::metadata(path).map_err(io)?;
+    if is_device(&found) {
+        // It may give bytes without end.
+        return Err(Format::Unknown.unsupported("file", "a device", "a file or a folder").in_file(path));
+    }
+    let length = found.len();
     options.limits.bytes(Format::Unknown, "file", length).map_err(|e| e.in_file(path))?;
     let bytes = std::fs::read(path).map_err(io)?;
     if bytes.is_empty() {
         return Err(Format::Unknown.empty("file").in_file(path));
     }
     Ok(bytes)
+}
+
+/// Whether what is found is a device, such as `/dev/zero`.
+fn is_device(found: &std::fs::Metadata) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        found.file_type().is_char_device() || found.file_type().is_block_device()
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = found;
+        false
+    }
 }
 
 /// A file that another one names; names that lead out of its folder are refused.
@@ -414,6 +351,7 @@ mod damage;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Up;
 
     fn file(name: &str, bytes: &[u8]) -> (tempfile::TempDir, std::path::PathBuf) {
         let folder = tempfile::tempdir().unwrap();
@@ -438,6 +376,11 @@ mod tests {
         assert_eq!(import(&path, &ImportOptions::default()).unwrap().frames(), splatv::FRAMES);
         let (_folder, path) = file("params.npz", &dynamic_npz::tests::sample(|_, shape| shape.to_owned()));
         assert_eq!(import(&path, &ImportOptions::default()).unwrap().frames(), 2);
+        let arrays = ["means", "scales", "quats", "opacities", "sh0"];
+        let gsplat = points_npz::gsplat::tests::sample(|_, shape| shape.to_owned());
+        let (_folder, path) = file("a.bin", &dynamic_npz::tests::safetensors_of(&gsplat, &arrays));
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 2);
+        assert_eq!(Format::of(&path), Some(Format::GsplatNpz));
         let (_folder, path) = file("a.bin", deformation::tests::PLANES);
         assert_eq!(import(&path, &ImportOptions::default()).unwrap().frames(), deformation::DEFAULT_FRAMES);
         let (_folder, path) = file("a.glb", &gltf_splats::tests::sample(8));
@@ -469,8 +412,20 @@ mod tests {
             let (_folder, path) = file("chkpnt30000.pth", bytes);
             let error = import(&path, &ImportOptions::default()).unwrap_err();
             assert_eq!(error.kind, ErrorKind::Unsupported);
-            assert!(error.to_string().contains("numpy.savez"), "{error}");
+            // The tuple of 3DGS, from its second entry on, by the names that gsplat's arrays are read by.
+            let lines = error.to_string();
+            assert!(lines.contains("\"means sh0 shN scales quats opacities\".split()"), "{error}");
+            assert!(lines.contains("params[0][1:7])) if is_tuple else params.get(\"splats\""), "{error}");
+            assert!(lines.contains("numpy.savez"), "{error}");
         }
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_device_is_not_read_without_end() {
+        let error = import("/dev/zero".as_ref(), &ImportOptions::default()).unwrap_err();
+        assert_eq!(error.kind, ErrorKind::Unsupported);
+        assert!(error.to_string().starts_with("/dev/zero: ") && error.to_string().contains("a device"));
     }
 
     #[test]

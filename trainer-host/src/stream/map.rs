@@ -189,6 +189,18 @@ impl PacketMap {
     }
 }
 
+impl PacketMap {
+    /// The state in which exactly the groups for which `have` says so are there, each with all its symbols,
+    /// whatever packets they share with others.
+    pub(crate) fn state_of_groups(&self, have: impl Fn(&Group) -> bool) -> Vec<u8> {
+        let mut state = self.initial.clone();
+        for placement in self.placements.iter().flatten().filter(|placement| have(&placement.group)) {
+            set(&mut state, placement);
+        }
+        state
+    }
+}
+
 fn set(state: &mut [u8], placement: &SlicePlacement) {
     for mask in &mut state[placement.first_block..placement.first_block + placement.blocks] {
         *mask = Arrived(*mask).with(placement.group.level).0;

@@ -8,7 +8,7 @@ use std::{
 
 use emulator_host::{
     Bytes, Nanos, Rate,
-    congestion::{DeliveryRate, DeliverySample, Rtt},
+    congestion::{DeliveryRate, DeliverySample, RecentMinimum, Rtt},
 };
 
 use super::watched::Observer;
@@ -65,7 +65,8 @@ impl Observed {
 
     /// Time counts by `clock` from now on; what is known of the round trip stays.
     pub(crate) fn restart(&mut self, clock: Clock, max_ack_delay: Nanos) {
-        let (rtt, in_flight) = (self.rtt.clone(), self.in_flight);
+        let (mut rtt, in_flight) = (self.rtt.clone(), self.in_flight);
+        rtt.restart_clock();
         *self = Self { rtt, in_flight, ..Self::new(clock, max_ack_delay) };
     }
 
@@ -109,6 +110,11 @@ impl Observed {
     /// The newest round trip; zero before the first.
     pub(crate) fn newest_round_trip(&self) -> Nanos {
         self.rtt.latest()
+    }
+
+    /// The smallest round trip of late.
+    pub(crate) fn recent_round_trips(&self) -> &RecentMinimum {
+        self.rtt.recent()
     }
 
     /// Estimated rate of the path.

@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use emulator_host::{Nanos, Rate};
+use emulator_host::{Nanos, Rate, congestion::RecentMinimum};
 use tokio::sync::Notify;
 
 use super::{observed::Observed, watched::Observer};
@@ -24,8 +24,10 @@ pub(crate) struct PathState {
     pub(crate) in_flight: u64,
     /// The newest round trip, the delay of its acknowledgement included.
     pub(crate) newest_rtt: Option<Duration>,
-    /// The least of them since [`PathWatch::reset_least_rtt`].
+    /// The least of late, at most since [`PathWatch::reset_least_rtt`].
     pub(crate) least_rtt: Option<Duration>,
+    /// When that was measured.
+    pub(crate) least_rtt_at: Option<Instant>,
     /// Mean deviation of round trips.
     pub(crate) rtt_variation: Option<Duration>,
     /// Estimated rate of the path, once something was acknowledged.
@@ -36,7 +38,9 @@ pub(crate) struct PathState {
 struct Known {
     observed: Observed,
     newest_rtt: Option<Duration>,
-    least_rtt: Option<Duration>,
+    least_rtt: RecentMinimum,
+    /// What round trips are dated by; sessions do not restart it.
+    clock: Clock,
     /// When the latest packet of the acknowledgement that is being read was sent.
     acked: Option<Instant>,
     /// Packets sent before this do not count for the least round trip.
@@ -62,7 +66,8 @@ impl PathWatch {
         let known = Known {
             observed: Observed::new(Clock::start(), MAX_ACK_DELAY),
             newest_rtt: None,
-            least_rtt: None,
+            least_rtt: RecentMinimum::new(),
+            clock: Clock::start(),
             acked: None,
             since: None,
             waiting: 0,
@@ -79,10 +84,12 @@ impl PathWatch {
     /// What is known by now.
     pub(crate) fn state(&self) -> PathState {
         let known = self.lock();
+        let least_at = known.least_rtt.measured_at();
         PathState {
             in_flight: known.observed.in_flight(),
             newest_rtt: known.newest_rtt,
-            least_rtt: known.least_rtt,
+            least_rtt: least_at.map(|_| Duration::from_nanos(known.least_rtt.get().0)),
+            least_rtt_at: least_at.map(|at| known.clock.instant(at)),
             rtt_variation: known.newest_rtt.map(|_| Duration::from_nanos(known.observed.variation().0)),
             rate: known.observed.path_rate(),
         }
@@ -91,7 +98,7 @@ impl PathWatch {
     /// The link has changed at `now`: the least round trip is measured anew.
     pub(crate) fn reset_least_rtt(&self, now: Instant) {
         let mut known = self.lock();
-        (known.least_rtt, known.since) = (None, Some(now));
+        (known.least_rtt, known.since) = (RecentMinimum::new(), Some(now));
     }
 
     /// A session begins after the handshake, of which only round trips say something of the path: what it
@@ -155,7 +162,8 @@ impl Observer for PathWatch {
             let rtt = now.saturating_duration_since(sent);
             known.newest_rtt = Some(rtt);
             if known.since.is_none_or(|since| sent >= since) {
-                known.least_rtt = Some(known.least_rtt.map_or(rtt, |least| least.min(rtt)));
+                let at = known.clock.nanos(now);
+                known.least_rtt.take(Clock::span(rtt), at);
             }
         }
         drop(known);

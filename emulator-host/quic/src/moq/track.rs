@@ -33,7 +33,8 @@ impl Track {
     }
 
     /// What is higher goes first where not all fits: a level before all above it, and attributes before the
-    /// motion that stands on them.
+    /// motion that stands on them. Utility has no say here: the protocol ranks tracks, and no groups of one,
+    /// so that it orders packets inside groups alone (`units`).
     pub(super) fn priority(self) -> u8 {
         let below = |level: usize, part: u8| 254 - 8 * (level.min(LEVELS) as u8) - part;
         match self {

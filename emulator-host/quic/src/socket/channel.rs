@@ -53,9 +53,11 @@ pub enum Closed {
 /// What is known of the path to a peer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Path {
-    /// Round trip: its smoothed mean, the least, and the newest if it is known.
+    /// Round trip: its smoothed mean, the least of late, and the newest if it is known.
     pub(super) rtt: Duration,
     pub(super) least_rtt: Duration,
+    /// How long ago the least was measured.
+    pub(super) least_rtt_age: Duration,
     pub(super) newest_rtt: Option<Duration>,
     /// Mean deviation of the round trip, if it is known.
     pub(super) rtt_variation: Option<Duration>,
@@ -196,6 +198,9 @@ impl Channel {
         Path {
             rtt: path.rtt,
             least_rtt: known.and_then(|known| known.least_rtt).unwrap_or(path.min_rtt),
+            least_rtt_age: known
+                .and_then(|known| known.least_rtt_at)
+                .map_or(Duration::ZERO, |at| at.elapsed()),
             newest_rtt: known.and_then(|known| known.newest_rtt),
             rtt_variation: known.and_then(|known| known.rtt_variation),
             rate: known.and_then(|known| known.rate),

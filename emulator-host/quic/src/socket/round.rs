@@ -96,6 +96,7 @@ fn facts(carrier: &SessionTransport, arrived: u64, media: u64, estimate: Option<
             |variation| nanos(variation).min(smoothed_rtt),
         ),
         minimum_rtt,
+        minimum_rtt_age: nanos(path.least_rtt_age),
         // The manifest, too, waits in the queue that media are not to lengthen.
         in_flight: path.in_flight.map_or(media, |all| all.max(media)),
         datagram_bytes: path.datagram_bytes,

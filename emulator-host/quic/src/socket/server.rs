@@ -96,7 +96,8 @@ pub enum ServerError {
 pub struct ServerReport {
     /// Viewers served.
     pub viewers: u64,
-    /// Handshakes that failed.
+    /// Handshakes that failed, those of addresses that never answer and of first packets that were sent again
+    /// after their connection was over among them.
     pub failed_handshakes: u64,
     /// Connections turned away before a handshake, for there were too many, or too many from their address.
     pub turned_away: u64,

@@ -7,6 +7,7 @@ mod controllers;
 mod live;
 #[cfg(feature = "moq")]
 mod relay;
+mod replayed;
 mod servers;
 mod streams;
 mod web;

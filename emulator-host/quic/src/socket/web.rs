@@ -2,6 +2,9 @@
 //!
 //! A browser speaks this instead of ALPN `dgs/0`. One session to a connection; what HTTP/3 has besides (other
 //! requests, QPACK's streams, unidirectional streams of a client) is neither read nor answered.
+//!
+//! `web-transport-proto` writes and reads the frames; streams and datagrams stay those of `quinn`, so that a
+//! session is the same over both; `web-transport-quinn` has stream types of its own.
 
 use std::{future::Future, pin::Pin};
 

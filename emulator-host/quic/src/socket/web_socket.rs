@@ -14,6 +14,7 @@ use std::{
 };
 
 use bytes::Bytes;
+use emulator_host::congestion::RecentMinimum;
 use futures_util::{SinkExt, StreamExt, stream::SplitSink};
 use hyper::upgrade::Upgraded;
 use hyper_util::rt::TokioIo;
@@ -30,6 +31,7 @@ use tokio_tungstenite::{
 };
 
 use super::channel::{Closed, Path};
+use crate::clock::Clock;
 
 /// First bytes of frames.
 const CONTROL: u8 = 0;
@@ -93,8 +95,8 @@ pub(super) struct SocketWriter(mpsc::Sender<Bytes>);
 struct Measured {
     began: Instant,
     sent: AtomicU64,
-    /// Round trip: its smoothed mean, and the least.
-    rtt: StdMutex<Option<(Duration, Duration)>>,
+    /// Round trip: its smoothed mean, and the least of late.
+    rtt: StdMutex<Option<(Duration, RecentMinimum)>>,
 }
 
 impl Measured {
@@ -108,10 +110,13 @@ impl Measured {
     fn answer(&self, question: &[u8]) {
         let Ok(sent_at) = <[u8; 8]>::try_from(question) else { return };
         let sent_at = Duration::from_nanos(u64::from_le_bytes(sent_at));
-        let Some(rtt) = self.began.elapsed().checked_sub(sent_at) else { return };
+        let now = self.began.elapsed();
+        let Some(rtt) = now.checked_sub(sent_at) else { return };
         let mut known = self.rtt.lock().unwrap_or_else(PoisonError::into_inner);
+        let (mean, least) = known.get_or_insert_with(|| (rtt, RecentMinimum::new()));
         // As RFC 6298 smooths it.
-        *known = Some(known.map_or((rtt, rtt), |(mean, least)| ((7 * mean + rtt) / 8, least.min(rtt))));
+        *mean = (7 * *mean + rtt) / 8;
+        least.take(Clock::span(rtt), Clock::span(now));
     }
 }
 
@@ -126,12 +131,18 @@ impl SocketChannel {
 
     /// What is known of the path once `arrived` bytes of media are known to have arrived.
     pub(super) fn path(&self, arrived: u64) -> Path {
-        let known = *self.measured.rtt.lock().unwrap_or_else(PoisonError::into_inner);
-        let (rtt, least_rtt) = known.unwrap_or((FIRST_RTT, FIRST_RTT));
+        let now = Clock::span(self.measured.began.elapsed());
+        let known = self.measured.rtt.lock().unwrap_or_else(PoisonError::into_inner);
+        let (rtt, least_rtt, least_rtt_age) =
+            known.as_ref().map_or((FIRST_RTT, FIRST_RTT, Duration::ZERO), |(mean, least)| {
+                (*mean, Duration::from_nanos(least.get().0), Duration::from_nanos(least.age(now).0))
+            });
+        drop(known);
         let window_bytes = FIRST_WINDOW.saturating_add(arrived);
         Path {
             rtt,
             least_rtt,
+            least_rtt_age,
             newest_rtt: None,
             rtt_variation: None,
             rate: None,

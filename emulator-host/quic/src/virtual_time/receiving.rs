@@ -4,12 +4,14 @@ use bytes::Bytes;
 use emulator_host::{Nanos, PacketGraph, PacketIndex, SessionConfig, session::Viewer};
 use quinn_proto::{Dir, StreamId};
 
-use super::end::End;
+use super::{end::End, messages::MessageReader};
 
 /// The viewer and its end of the connection.
 pub(super) struct Receiving<'a> {
     pub(super) end: End,
     pub(super) viewer: Viewer<'a>,
+    /// Control messages beside the manifest.
+    pub(super) messages: MessageReader,
     graph: &'a PacketGraph,
     ack_every: u32,
     max_ack_delay: Nanos,
@@ -26,6 +28,7 @@ impl<'a> Receiving<'a> {
         Self {
             end,
             viewer,
+            messages: MessageReader::default(),
             graph,
             ack_every: config.ack_every,
             max_ack_delay: config.max_ack_delay,
@@ -49,6 +52,11 @@ impl<'a> Receiving<'a> {
         if let Some((bytes, complete)) = self.read_manifest() {
             self.viewer.control(bytes, complete);
             self.arrived(now);
+        }
+        if self.stream.is_some()
+            && let Some(connection) = self.end.connection()
+        {
+            self.messages.read(connection, now);
         }
     }
 

@@ -11,13 +11,14 @@ use emulator_host::{
 use super::{
     VirtualError,
     end::{self, DATAGRAM_OVERHEAD, End},
+    messages::MessageWriter,
     receiving::Receiving,
     sending::Sending,
     wire::Wire,
 };
 use crate::{
     clock::Clock,
-    congestion::{Observed, Watch},
+    congestion::{CongestionControl, Factory, Observed, Watch},
 };
 
 /// Longest time for a handshake.
@@ -60,9 +61,61 @@ pub fn run(
     endpoint: &mut dyn Endpoint,
 ) -> Result<Report, VirtualError> {
     check(config)?;
+    let controller = end::controller(config.controller, datagram_bytes(graph))?;
+    let named = (config.controller.name(), controller);
+    Ok(walk(graph, config, named, MessageWriter::none(), (scheduler, endpoint))?.0)
+}
+
+/// As [`simulate`], under a controller of the transport in place of `config.controller`; the report names it.
+///
+/// One seed gives one run, except under [`CongestionControl::Bbr`], which draws from the operating system in
+/// which phase it begins to probe.
+///
+/// # Errors
+/// As [`simulate`].
+pub fn simulate_with(
+    graph: &PacketGraph,
+    config: &SessionConfig,
+    controller: CongestionControl,
+) -> Result<Report, VirtualError> {
+    check(config)?;
+    let mut scheduler = config.policy.build(graph);
+    let mut endpoint = GraphReceiver::new(graph, config.buffer_limit);
+    let named = (controller.name(), controller.factory(datagram_bytes(graph)));
+    Ok(walk(graph, config, named, MessageWriter::none(), (&mut *scheduler, &mut endpoint))?.0)
+}
+
+/// As [`simulate`], with a control message of 200 bytes towards the receiver every `interval` (at least 1 ms)
+/// from 2 s on: how long each took from being written until it was read, as they arrived. A message leaves
+/// before all media that waits; what is in flight already is before it.
+///
+/// # Errors
+/// As [`simulate`].
+pub fn control_times(
+    graph: &PacketGraph,
+    config: &SessionConfig,
+    interval: Nanos,
+) -> Result<Vec<Nanos>, VirtualError> {
+    check(config)?;
+    let mut scheduler = config.policy.build(graph);
+    let mut endpoint = GraphReceiver::new(graph, config.buffer_limit);
+    let named = (config.controller.name(), end::controller(config.controller, datagram_bytes(graph))?);
+    let messages = MessageWriter::every(interval.max(Nanos::from_ms(1)));
+    Ok(walk(graph, config, named, messages, (&mut *scheduler, &mut endpoint))?.1)
+}
+
+/// Runs `graph` under a legal `config` with this controller, by its name in reports; gives the report, and the
+/// times of control messages.
+fn walk(
+    graph: &PacketGraph,
+    config: &SessionConfig,
+    (name, controller): (&'static str, Factory),
+    messages: MessageWriter,
+    (scheduler, endpoint): (&mut dyn Scheduler, &mut dyn Endpoint),
+) -> Result<(Report, Vec<Nanos>), VirtualError> {
     let [forward, reverse] = config.paths()?;
     let datagram_bytes = datagram_bytes(graph);
-    let mut pair = Pair::new(config, datagram_bytes, bare_paths(config)?)?;
+    let mut pair = Pair::new(config, datagram_bytes, controller, bare_paths(config)?)?;
     let connected = pair.connect(HANDSHAKE_TIMEOUT)? + SETTLING;
     pair.go_on_until(connected)?;
     pair.server.restart(connected);
@@ -76,14 +129,17 @@ pub fn run(
         receiving: Receiving::new(pair.client, viewer, graph, config),
         digest: 0xcbf2_9ce4_8422_2325,
         sample_at: Nanos::ZERO,
+        controller: name,
         config,
     };
+    walk.sending.messages = messages;
     let mut now = Nanos::ZERO;
     let end = config.end(graph);
     while now <= end && !walk.step(now)? {
         now = walk.next_time().max(now + Nanos(1));
     }
-    Ok(walk.report(now.min(end)))
+    let times = walk.receiving.messages.times(&walk.sending.messages);
+    Ok((walk.report(now.min(end)), times))
 }
 
 /// Duration of the handshake over the path of `config`, losses and queues included.
@@ -92,7 +148,8 @@ pub fn run(
 /// As [`simulate`], and [`VirtualError::Handshake`] if it takes longer than a minute.
 pub fn handshake(config: &SessionConfig) -> Result<Nanos, VirtualError> {
     check(config)?;
-    Pair::new(config, 1200, config.paths()?)?.connect(HANDSHAKE_TIMEOUT)
+    let controller = end::controller(config.controller, 1200)?;
+    Pair::new(config, 1200, controller, config.paths()?)?.connect(HANDSHAKE_TIMEOUT)
 }
 
 fn check(config: &SessionConfig) -> Result<(), VirtualError> {
@@ -148,11 +205,11 @@ impl Pair {
     fn new(
         config: &SessionConfig,
         datagram_bytes: u16,
+        controller: Factory,
         [forward, reverse]: [Chain; 2],
     ) -> Result<Self, VirtualError> {
         let clock = Clock::start();
         let watch = Watch::new(Observed::new(clock, config.max_ack_delay));
-        let controller = end::controller(config.controller, datagram_bytes)?;
         Ok(Self {
             server: End::server(clock, config.seed, datagram_bytes, controller, watch.clone())?,
             client: End::client(clock, config.seed, datagram_bytes)?,
@@ -221,6 +278,7 @@ fn carry(wire: &mut Wire, mut payload: Option<&[u8]>, end: &mut End, now: Nanos)
 /// One run: both ends and the path between them.
 struct Walk<'a> {
     config: &'a SessionConfig,
+    controller: &'static str,
     forward: Wire,
     reverse: Wire,
     sending: Sending<'a>,
@@ -273,7 +331,7 @@ impl Walk<'_> {
         let chains = [self.forward.chain(), self.reverse.chain()];
         let counts = self.sending.counts();
         let mut report = self.receiving.viewer.report(&self.sending.media, chains, now);
-        report.controller = self.config.controller.name().to_owned();
+        self.controller.clone_into(&mut report.controller);
         report.seed = self.config.seed;
         report.sender = counts.plus(report.sender);
         report.digest = self.digest;

@@ -8,7 +8,7 @@ use emulator_host::{
 };
 use quinn_proto::{Connection, ConnectionStats, Dir, FrameStats, StreamId};
 
-use super::end::End;
+use super::{end::End, messages::MessageWriter};
 use crate::{clock::Clock, congestion::Watch};
 
 /// A receipt leaves so long after what it reports at the latest.
@@ -21,6 +21,8 @@ const CONTROL_BYTES: usize = 16 * 1024;
 pub(super) struct Sending<'a> {
     pub(super) end: End,
     pub(super) media: MediaSender<&'a PacketGraph, &'a mut dyn Scheduler>,
+    /// Control messages beside the manifest.
+    pub(super) messages: MessageWriter,
     outstanding: Outstanding,
     watch: Watch,
     datagram_bytes: u64,
@@ -55,10 +57,11 @@ impl<'a> Sending<'a> {
     ) -> Self {
         let before = end.connection().map_or_else(ConnectionStats::default, |connection| connection.stats());
         watch.look().restart(end.clock(), config.max_ack_delay);
-        let path = facts(&mut end, &watch, datagram_bytes);
+        let path = facts(&mut end, &watch, datagram_bytes, Nanos::ZERO);
         let manifest = graph.manifest_bytes() as usize;
         Self {
             media: MediaSender::new(graph, scheduler, config.sending(), path, Nanos::ZERO),
+            messages: MessageWriter::none(),
             outstanding: Outstanding::new(),
             datagram_bytes,
             queued: None,
@@ -73,7 +76,7 @@ impl<'a> Sending<'a> {
     }
 
     pub(super) fn row(&mut self, now: Nanos) -> SenderRow {
-        let path = facts(&mut self.end, &self.watch, self.datagram_bytes);
+        let path = facts(&mut self.end, &self.watch, self.datagram_bytes, now);
         SenderRow {
             time_ns: now,
             window_bytes: self
@@ -98,7 +101,7 @@ impl<'a> Sending<'a> {
 
     pub(super) fn next_time(&mut self) -> Nanos {
         let due = self.outstanding.next_time().min(self.expires_at());
-        self.end.next_time().min(self.gate_at).min(due)
+        self.end.next_time().min(self.gate_at).min(due).min(self.messages.next_at())
     }
 
     /// When what is left of a burst is known to be lost: once nothing is out for the transport, an
@@ -135,13 +138,16 @@ impl<'a> Sending<'a> {
             self.outstanding.settle(&mut self.media, now);
             let silence = self.silence();
             self.outstanding.expire(&mut self.media, silence, self.heard_at, now);
-            self.media.look(facts(&mut self.end, &self.watch, self.datagram_bytes), now);
+            self.media.look(facts(&mut self.end, &self.watch, self.datagram_bytes, now), now);
         }
     }
 
     /// The next UDP payload that leaves at `now`.
     pub(super) fn poll(&mut self, now: Nanos) -> Option<&[u8]> {
         self.write_manifest();
+        if let Some(connection) = self.end.connection() {
+            self.messages.write(connection, now);
+        }
         self.choose(now);
         let before = frames(self.end.connection());
         self.end.transmit(now)?;
@@ -239,17 +245,22 @@ fn elicits(before: &FrameStats, after: &FrameStats) -> bool {
     others(after) > others(before)
 }
 
-fn facts(end: &mut End, watch: &Watch, datagram_bytes: u64) -> PathFacts {
+/// What is known of the path at `now`.
+fn facts(end: &mut End, watch: &Watch, datagram_bytes: u64, now: Nanos) -> PathFacts {
     let Some(connection) = end.connection() else { return PathFacts::unknown(datagram_bytes) };
     let observed = watch.look();
     let smoothed_rtt = Clock::span(connection.rtt());
     let smoothed_rtt = PathFacts::expected_round_trip(smoothed_rtt, observed.newest_round_trip());
     let window = Rate::over(Size(connection.congestion_state().window()), smoothed_rtt);
+    let recent = observed.recent_round_trips();
+    // The transport's own also counts samples of the handshake that the observer cannot tell apart.
+    let minimum_rtt = if recent.has_forgotten() { recent.get() } else { Clock::span(connection.min_rtt()) };
     PathFacts {
         rate: observed.path_rate().map_or(window, |path| window.min(path)),
         smoothed_rtt,
         rtt_variation: observed.variation().min(smoothed_rtt),
-        minimum_rtt: Clock::span(connection.min_rtt()),
+        minimum_rtt,
+        minimum_rtt_age: recent.age(now),
         in_flight: observed.in_flight(),
         datagram_bytes,
     }

@@ -187,6 +187,8 @@ mod tests {
             minimum_rtt: Nanos::from_ms(40),
             in_flight: 0,
             loss: 0.0,
+            loss_after_loss: 0.0,
+            sent_number: &[],
             startup: StartupRule::AfterWait,
             retransmissions: 2,
             viewpoint: None,

@@ -195,6 +195,8 @@ mod tests {
             in_flight: 0,
             sent_at,
             loss: 0.0,
+            loss_after_loss: 0.0,
+            sent_number: &[],
             startup,
             retransmissions: 2,
             viewpoint: None,

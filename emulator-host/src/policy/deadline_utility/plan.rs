@@ -8,6 +8,7 @@
 use std::{cmp::Ordering, collections::BinaryHeap, sync::Arc};
 
 use super::{
+    bursts::repaired_share,
     config::DeadlineUtilityConfig,
     forecast::{Forecast, OVERHEAD_BYTES},
     in_flight::{arrives_in_time, survival},
@@ -350,8 +351,8 @@ impl Plan {
         self.ready.peek().map_or(0.0, |ready| ready.rank)
     }
 
-    /// What is lost, per byte of `parity`, if one of the members of its set is lost and comes only after a
-    /// repetition.
+    /// What is lost, per byte of `parity`, if one of the members of its set is lost that parity would repair,
+    /// and comes only after a repetition.
     pub(super) fn parity_rank(
         &self,
         view: &SenderView<'_>,
@@ -374,6 +375,7 @@ impl Plan {
             saved += forecast.loss * (soon - late) * weight;
             value += forecast.loss * soon * weight;
         }
+        saved *= repaired_share(view, set);
         // Repetition is cheaper: it costs bytes only where something was lost.
         if saved < MIN_SAVED * value {
             return 0.0;
@@ -444,6 +446,8 @@ mod tests {
             minimum_rtt: Nanos::from_ms(40),
             in_flight: 0,
             loss: 0.01,
+            loss_after_loss: 0.01,
+            sent_number: &[],
             startup: StartupRule::AfterWait,
             retransmissions: 2,
             viewpoint: None,

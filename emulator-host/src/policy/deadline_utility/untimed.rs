@@ -51,6 +51,8 @@ pub fn order_by_utility(graph: &PacketGraph) -> Vec<PacketIndex> {
             in_flight: 0,
             sent_at: &sent_at,
             loss: 0.0,
+            loss_after_loss: 0.0,
+            sent_number: &[],
             startup: StartupRule::AfterWait,
             retransmissions: 0,
             viewpoint: None,

@@ -1,12 +1,10 @@
-//! Measures conversions of a large still scene: time, size, memory, beside splat-transform where installed.
+//! Measures conversions of a large still scene: time, size, memory, beside splat-transform where installed;
+//! and what decimation leaves of pictures.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Stdio},
-    thread,
-    time::{Duration, Instant},
-};
+mod decimate;
+mod peer;
+
+use std::{fs, path::Path, process::Command, time::Instant};
 
 use anyhow::{Context, Result, ensure};
 use render_host::{Backend, Camera, Image, Settings, metric};
@@ -16,9 +14,10 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
-use super::demo::{peak_bytes, peak_bytes_of};
+use self::peer::{MIB, Taken, forget_peak, timed_peer};
+use super::demo::push_peak_memory;
 use crate::{
-    figures::{Bench, Figure},
+    figures::{Bench, Figure, Machine},
     setup::{Setup, synth},
 };
 
@@ -28,11 +27,6 @@ const FORMATS: [&str; 6] = ["ply", "compressed.ply", "spz", "splat", "sog", "glb
 const SIDE: u32 = 256;
 /// Names the peer's program where it is not on the path.
 const PEER: &str = "SPLAT_TRANSFORM";
-
-/// Bytes of a mebibyte.
-const MIB: f64 = 1048576.0;
-/// How often it is looked how much memory the peer takes.
-const WATCH: Duration = Duration::from_millis(5);
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
@@ -49,17 +43,15 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     );
     let folder = std::env::temp_dir().join(format!("dgs-bench-convert-{}", std::process::id()));
     fs::create_dir_all(&folder)?;
-    let measured = measure(&folder, count, &mut bench);
+    bench.also(decimate::PROTOCOL);
+    let measured = measure(setup, &folder, count, &mut bench);
     fs::remove_dir_all(&folder)?;
     measured?;
-    match peak_bytes() {
-        Some(bytes) => bench.push(Figure::new("peak_memory_mib", bytes / MIB, "MiB")),
-        None => bench.skipped.push("peak memory: this system does not tell (/proc/self/status)".into()),
-    }
+    push_peak_memory(&mut bench);
     Ok(bench)
 }
 
-fn measure(folder: &Path, count: usize, bench: &mut Bench) -> Result<()> {
+fn measure(setup: &Setup, folder: &Path, count: usize, bench: &mut Bench) -> Result<()> {
     let scene = synth("figure", count, 1)?;
     let source = folder.join("source.ply");
     fs::write(&source, export::ply::encode(&scene.epochs()[0], 0))?;
@@ -77,21 +69,21 @@ fn measure(folder: &Path, count: usize, bench: &mut Bench) -> Result<()> {
         let peer_writes = has_peer && format != "splat";
         let mut of_peer = None;
         if peer_writes && turn % 2 == 1 {
-            of_peer = timed_peer(&peer, &source, &theirs);
+            of_peer = timed_peer(&peer, &source, &[], &theirs);
         }
         let begins_low = forget_peak();
         let start = Instant::now();
         let scene = import(&source, &ImportOptions::default())?;
         fs::write(&ours, encoded(format, &scene.epochs()[0])?)?;
         let seconds = start.elapsed().as_secs_f64();
-        let peak = peak_bytes().filter(|_| begins_low);
+        let peak = Machine::peak_memory_bytes("self").filter(|_| begins_low);
         // A quick writer of something else would be no figure.
         let again = import(&ours, &ImportOptions::default())?;
         let (found, wanted) = (again.max_count(), scene.max_count());
         ensure!(found == wanted, "{format}: {found} Gaussians of {wanted} come back");
         let error = metric::mse(&picture(&again, &camera)?, &expected)?;
         if peer_writes && turn % 2 == 0 {
-            of_peer = timed_peer(&peer, &source, &theirs);
+            of_peer = timed_peer(&peer, &source, &[], &theirs);
         }
         let size = |path: &Path| fs::metadata(path).map(|found| found.len() as f64);
         let mut wall = Figure::new(format!("ply_to_{format}.wall_s"), seconds, "s")
@@ -99,11 +91,11 @@ fn measure(folder: &Path, count: usize, bench: &mut Bench) -> Result<()> {
             .error(error, "mean squared error of a picture, of 1");
         let mut bytes = Figure::new(format!("ply_to_{format}.bytes"), size(&ours)?, "bytes");
         let mut memory =
-            peak.map(|peak| Figure::new(format!("ply_to_{format}.memory_mib"), peak / MIB, "MiB"));
+            peak.map(|peak| Figure::new(format!("ply_to_{format}.memory_mib"), peak as f64 / MIB, "MiB"));
         if let Some(Taken { seconds, peak }) = of_peer {
             wall = wall.peer("splat-transform", seconds, true);
             bytes = bytes.peer("splat-transform", size(&theirs)?, true);
-            memory = memory.map(|memory| memory.peer("splat-transform", peak / MIB, true));
+            memory = memory.map(|memory| memory.peer("splat-transform", peak as f64 / MIB, true));
         }
         bench.push(wall);
         bench.push(bytes);
@@ -112,41 +104,12 @@ fn measure(folder: &Path, count: usize, bench: &mut Bench) -> Result<()> {
             None => bench.skipped.push(format!("ply_to_{format}.memory_mib: this system does not tell")),
         }
     }
-    Ok(())
+    decimate::measure(setup, folder, &source, has_peer.then_some(&*peer), bench)
 }
 
 /// The first frame of `scene` as `camera` sees it.
 fn picture(scene: &Scene, camera: &Camera) -> Result<Image> {
     Ok(evaluator::references(scene, &[0], camera, &Settings::default(), &Backend::Cpu)?.remove(0))
-}
-
-/// Lets the largest resident set of this process begin anew; false where the system cannot.
-fn forget_peak() -> bool {
-    fs::write("/proc/self/clear_refs", "5").is_ok()
-}
-
-/// What the peer took: time, and its largest resident set, bytes.
-struct Taken {
-    seconds: f64,
-    peak: f64,
-}
-
-/// What the peer takes, if it can do it.
-fn timed_peer(peer: &str, from: &Path, to: &Path) -> Option<Taken> {
-    let start = Instant::now();
-    let mut command = Command::new(peer);
-    command.args(["-q", "-w", "-g", "cpu"]).args([from, to]);
-    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().ok()?;
-    let mut peak: f64 = 0.0;
-    let status = loop {
-        // Its counter only grows, so that the last look has all but the last moment.
-        peak = peak.max(peak_bytes_of(&child.id().to_string()).unwrap_or(0.0));
-        if let Some(status) = child.try_wait().ok()? {
-            break status;
-        }
-        thread::sleep(WATCH);
-    };
-    (status.success() && to.is_file()).then(|| Taken { seconds: start.elapsed().as_secs_f64(), peak })
 }
 
 fn encoded(format: &str, epoch: &Epoch) -> Result<Vec<u8>> {

@@ -12,7 +12,8 @@ use trainer_host::{
     encode::{self, EncodeOptions, Encoded, Protection},
     evaluator,
     train::delivery::{
-        DeliveryOptions, Evaluation, FineTuned, LossModel, LossUnit, Masks, Reference, Validation, Variant,
+        ChannelRanges, DeliveryOptions, Evaluation, FineTuned, LossModel, LossUnit, Masks, Reference,
+        Validation, Variant,
     },
     viewpoint::{Framing, Ring},
 };
@@ -156,8 +157,24 @@ impl Study {
     /// # Errors
     /// A stream whose manifest does not hold.
     pub(super) fn masks(&self, loss: LossModel) -> Result<Masks> {
+        self.masks_by(loss, LossUnit::Packet)
+    }
+
+    /// The same by `unit`: packets, or completion groups, of which all is lost at once.
+    ///
+    /// # Errors
+    /// As [`Study::masks`].
+    pub(super) fn masks_by(&self, loss: LossModel, unit: LossUnit) -> Result<Masks> {
+        Ok(Masks::draw(&self.encoded.stream, loss, unit, self.size.states, TEST_SEED)?)
+    }
+
+    /// The test states after links drawn from `ranges`, with their display deadlines.
+    ///
+    /// # Errors
+    /// As [`Study::masks`].
+    pub(super) fn link_masks(&self, ranges: &ChannelRanges) -> Result<Masks> {
         let (stream, states) = (&self.encoded.stream, self.size.states);
-        Ok(Masks::draw(stream, loss, LossUnit::Packet, states, TEST_SEED)?)
+        Ok(Masks::draw_links(stream, ranges, LossUnit::Packet, states, TEST_SEED)?)
     }
 
     /// Trains under `options`.

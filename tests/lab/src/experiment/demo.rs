@@ -11,7 +11,7 @@ use dgs::{
 };
 
 use crate::{
-    figures::{Bench, Figure},
+    figures::{Bench, Figure, Machine},
     setup::Setup,
 };
 
@@ -33,22 +33,14 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     std::fs::remove_dir_all(&folder)?;
     bench.push(Figure::new("wall_s", seconds, "s"));
     bench.push(Figure::new("report_bytes", html.len() as f64, "bytes"));
-    match peak_bytes() {
-        Some(bytes) => bench.push(Figure::new("peak_memory_mib", bytes / 1048576.0, "MiB")),
-        None => bench.skipped.push("peak memory: this system does not tell (/proc/self/status)".into()),
-    }
+    push_peak_memory(&mut bench);
     Ok(bench)
 }
 
-/// Largest resident set of this process so far.
-pub(super) fn peak_bytes() -> Option<f64> {
-    peak_bytes_of("self")
-}
-
-/// The same of `process`, by its number.
-pub(super) fn peak_bytes_of(process: &str) -> Option<f64> {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
-    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
-    let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
-    Some(kib * 1024.0)
+/// Adds the largest resident set of this process so far.
+pub(super) fn push_peak_memory(bench: &mut Bench) {
+    match Machine::peak_memory_bytes("self") {
+        Some(bytes) => bench.push(Figure::new("peak_memory_mib", bytes as f64 / 1_048_576.0, "MiB")),
+        None => bench.skipped.push("peak memory: this system does not tell (/proc/self/status)".into()),
+    }
 }

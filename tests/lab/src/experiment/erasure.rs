@@ -5,7 +5,9 @@ mod appearance;
 use anyhow::Result;
 use trainer_host::{
     encode::Protection,
-    train::delivery::{DeliveryOptions, Evaluation, FineTuned, LossModel, Validation, Variant},
+    train::delivery::{
+        DeliveryOptions, Evaluation, FineTuned, LossModel, LossUnit, Masks, Validation, Variant, Weights,
+    },
 };
 
 use self::appearance::{Appearance, Measured, Network};
@@ -19,6 +21,10 @@ use crate::{
 const IID_PERCENT: [f64; 5] = [1.0, 2.0, 5.0, 10.0, 20.0];
 /// Shares of bursts, percent.
 const BURST_PERCENT: [f64; 2] = [5.0, 10.0];
+/// Shares of whole completion groups that are lost, percent.
+const GROUP_PERCENT: [f64; 2] = [5.0, 10.0];
+/// Weight of the complete state in the objective that heeds it more; the paper's is 0.5.
+const CLEAN_HEAVIER: f64 = 1.5;
 
 /// What is measured of one loss.
 #[derive(Clone, Debug)]
@@ -39,7 +45,10 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let network = network.as_ref();
     let sheet = Study::make(size)?;
     let words = size.words();
-    measure(&mut bench, ("", &words), &sheet, network)?;
+    let pairs = measure(&mut bench, ("", &words), &sheet, network)?;
+    groups(&mut bench, &sheet, &pairs, network)?;
+    clean_heavier(&mut bench, &sheet, &pairs)?;
+    drop(pairs);
     let sheet = sheet.protected(Protection::STANDARD)?;
     measure(&mut bench, ("repaired.", "the same"), &sheet, network)?;
     let sheet = sheet.protected(Protection::STRONG)?;
@@ -82,41 +91,113 @@ fn protocol(network: Option<&Network>) -> String {
     )
 }
 
-/// Adds the figures of one study, their keys after `prefix`.
+/// States that are tested, by the name of their loss.
+type Drawn = Vec<(String, Masks)>;
+
+/// The loss of so many percent on its own, by name.
+fn independent(percent: f64) -> (String, LossModel) {
+    (format!("iid{percent}"), LossModel::Iid { probability: percent / 100.0 })
+}
+
+/// The loss of so many percent in bursts, by name.
+fn in_bursts(percent: f64) -> (String, LossModel) {
+    (format!("burst{percent}"), LossModel::Burst { share: percent / 100.0, length: BURST })
+}
+
+/// The states of `study` after each of `losses`, by `unit`.
+fn drawn(
+    study: &Study,
+    losses: impl IntoIterator<Item = (String, LossModel)>,
+    unit: LossUnit,
+) -> Result<Drawn> {
+    losses.into_iter().map(|(name, loss)| Ok((name, study.masks_by(loss, unit)?))).collect()
+}
+
+/// Names of losses and hashes of their states, as a protocol has them.
+fn hashes(drawn: &[(String, Masks)]) -> String {
+    let each = drawn.iter().map(|(name, masks)| format!("{name} {:016x}", masks.hash()));
+    each.collect::<Vec<_>>().join(", ")
+}
+
+/// Options of `variant` with `seed`, which take the candidate that validation prefers.
+fn validated(study: &Study, variant: Variant, seed: u64) -> DeliveryOptions {
+    let validation = Validation { candidates: 2, ..Validation::default() };
+    DeliveryOptions { seed, validation, ..study.options(variant) }
+}
+
+/// Adds the figures of one study, their keys after `prefix`; gives what was trained and what was not, seed by
+/// seed.
 fn measure(
     bench: &mut Bench,
     (prefix, words): (&str, &str),
     study: &Study,
     network: Option<&Network>,
-) -> Result<()> {
-    let iid =
-        IID_PERCENT.map(|percent| (format!("iid{percent}"), LossModel::Iid { probability: percent / 100.0 }));
-    let burst = BURST_PERCENT.map(|percent| {
-        (format!("burst{percent}"), LossModel::Burst { share: percent / 100.0, length: BURST })
-    });
-    let losses: Vec<(String, LossModel)> = iid.into_iter().chain(burst).collect();
-    let mut masks = Vec::new();
-    for (_, loss) in &losses {
-        masks.push(study.masks(*loss)?);
-    }
-    let hashes: Vec<String> =
-        losses.iter().zip(&masks).map(|((name, _), masks)| format!("{name} {:016x}", masks.hash())).collect();
+) -> Result<Vec<[FineTuned; 2]>> {
+    let losses = IID_PERCENT.map(independent).into_iter().chain(BURST_PERCENT.map(in_bursts));
+    let drawn = drawn(study, losses, LossUnit::Packet)?;
     let Size { seeds, states, worlds, .. } = study.size;
     bench.also(&format!(
         "; {prefix}*: {words}, {seeds} seeds, {states} states per loss \
          (FNV-1a: {})",
-        hashes.join(", ")
+        hashes(&drawn)
     ));
-    let validation = Validation { candidates: 2, ..Validation::default() };
     let mut pairs: Vec<[FineTuned; 2]> = Vec::new();
     for seed in 1..=seeds {
-        let options = |variant| DeliveryOptions { seed, validation, ..study.options(variant) };
+        let options = |variant| validated(study, variant, seed);
         let complete = DeliveryOptions { views: worlds, worlds: 1, ..options(Variant::Reconstruction) };
         pairs.push([study.train(&options(Variant::Combined))?, study.train(&complete)?]);
     }
-    for ((name, _), masks) in losses.iter().zip(&masks) {
+    compare(bench, prefix, study, (&pairs, &drawn), network)?;
+    Ok(pairs)
+}
+
+/// Adds the figures of `pairs` where completion groups are lost whole, as in the paper.
+fn groups(
+    bench: &mut Bench,
+    study: &Study,
+    pairs: &[[FineTuned; 2]],
+    network: Option<&Network>,
+) -> Result<()> {
+    let drawn = drawn(study, GROUP_PERCENT.map(independent), LossUnit::Group)?;
+    let hashes = hashes(&drawn);
+    bench.also(&format!("; groups.*: the same scenes, completion groups are lost whole (FNV-1a: {hashes})"));
+    compare(bench, "groups.", study, (pairs, &drawn), network)
+}
+
+/// Adds the figures of an objective that heeds the complete state more, beside those of the mixed one, the
+/// first of each of `pairs`.
+fn clean_heavier(bench: &mut Bench, study: &Study, pairs: &[[FineTuned; 2]]) -> Result<()> {
+    let weights = Weights { anchor: CLEAN_HEAVIER, ..Weights::default() };
+    let mut heavier = Vec::new();
+    for seed in 1..=study.size.seeds {
+        let options = DeliveryOptions { weights, ..validated(study, Variant::Combined, seed) };
+        heavier.push(study.train(&options)?);
+    }
+    let usual = Weights::default().anchor;
+    bench.also(&format!(
+        "; clean_heavier.*: the same sheet and states, variant mixed with {CLEAN_HEAVIER} for {usual} as the \
+         weight of the complete state, beside mixed"
+    ));
+    for (name, masks) in drawn(study, [independent(10.0), in_bursts(10.0)], LossUnit::Packet)? {
+        let evaluate = |tuned: &FineTuned| study.evaluate(tuned, &masks);
+        let ours = heavier.iter().map(evaluate).collect::<Result<Vec<_>>>()?;
+        let mixed = pairs.iter().map(|[mixed, _]| evaluate(mixed)).collect::<Result<Vec<_>>>()?;
+        push_levels(bench, &format!("clean_heavier.{name}"), ("mixed", &mixed), &ours);
+    }
+    Ok(())
+}
+
+/// Adds the figures of `pairs` in the states of each loss, their keys after `prefix`.
+fn compare(
+    bench: &mut Bench,
+    prefix: &str,
+    study: &Study,
+    (pairs, drawn): (&[[FineTuned; 2]], &[(String, Masks)]),
+    network: Option<&Network>,
+) -> Result<()> {
+    for (name, masks) in drawn {
         let mut found: [Vec<Tested>; 2] = Default::default();
-        for pair in &pairs {
+        for pair in pairs {
             for (found, tuned) in found.iter_mut().zip(pair) {
                 let evaluation = study.evaluate(tuned, masks)?;
                 let appearance = Appearance::of(study, tuned, masks, network)?;
@@ -143,11 +224,25 @@ fn push(bench: &mut Bench, name: &str, tested: &[Vec<Tested>; 2]) {
 /// Adds the figures of PSNR.
 fn push_psnr(bench: &mut Bench, name: &str, evaluations: &[Vec<Evaluation>; 2]) {
     let [trained, untrained] = evaluations;
+    push_levels(bench, name, ("untrained", untrained), trained);
+    let states = trained.first().map_or(0, |e| e.worlds_db.len());
+    let gains = differences(evaluations, states, |e, state| e.worlds_db[state]);
+    bench.push(difference(format!("{name}.gain"), "dB", &gains, trained.len()));
+    let wins = gains.iter().filter(|&&gain| gain > 0.0).count() as f64 / gains.len().max(1) as f64;
+    bench.push(Figure::new(format!("{name}.wins"), wins, "of states"));
+    let drops = differences(evaluations, states, |e, state| e.clean_db - e.worlds_db[state]);
+    bench.push(difference(format!("{name}.drop_difference"), "dB", &drops, trained.len()));
+    let cliffs = differences(evaluations, states, |e, state| f64::from(u8::from(e.is_cliff(state))));
+    bench.push(difference(format!("{name}.cliffs_difference"), "of states", &cliffs, trained.len()));
+}
+
+/// Adds what PSNR comes to over seeds, of `ours` beside a peer.
+fn push_levels(bench: &mut Bench, name: &str, (peer, others): (&str, &[Evaluation]), ours: &[Evaluation]) {
     let over_seeds =
         |all: &[Evaluation], value: fn(&Evaluation) -> f64| mean(&all.iter().map(value).collect::<Vec<_>>());
     let mut figure = |key: &str, unit: &str, value: fn(&Evaluation) -> f64| {
-        let (ours, other) = (over_seeds(trained, value), over_seeds(untrained, value));
-        let mut figure = Figure::new(format!("{name}.{key}"), ours, unit).peer("untrained", other, false);
+        let (ours, other) = (over_seeds(ours, value), over_seeds(others, value));
+        let mut figure = Figure::new(format!("{name}.{key}"), ours, unit).peer(peer, other, false);
         // A ratio of decibels says nothing.
         figure.ratio = None;
         bench.push(figure);
@@ -158,15 +253,6 @@ fn push_psnr(bench: &mut Bench, name: &str, evaluations: &[Vec<Evaluation>; 2]) 
     figure("drop", "dB", |e| e.clean_db - e.mean_db());
     figure("worst10", "dB", Evaluation::worst_tenth_db);
     figure("cliffs", "of states", Evaluation::cliffs);
-    let states = trained.first().map_or(0, |e| e.worlds_db.len());
-    let gains = differences(evaluations, states, |e, state| e.worlds_db[state]);
-    bench.push(difference(format!("{name}.gain"), "dB", &gains, trained.len()));
-    let wins = gains.iter().filter(|&&gain| gain > 0.0).count() as f64 / gains.len().max(1) as f64;
-    bench.push(Figure::new(format!("{name}.wins"), wins, "of states"));
-    let drops = differences(evaluations, states, |e, state| e.clean_db - e.worlds_db[state]);
-    bench.push(difference(format!("{name}.drop_difference"), "dB", &drops, trained.len()));
-    let cliffs = differences(evaluations, states, |e, state| f64::from(u8::from(e.is_cliff(state))));
-    bench.push(difference(format!("{name}.cliffs_difference"), "of states", &cliffs, trained.len()));
 }
 
 /// Adds the figures of one measure, of which less is better; none where it was not taken.
@@ -243,6 +329,31 @@ mod tests {
         assert!(value("x.drop").value < value("x.drop").peer_value.unwrap());
         let [low, high] = value("x.gain").ci95.unwrap();
         assert!((-0.5..=1.0).contains(&low) && low < high && high <= 1.0);
+    }
+
+    /// Rows of groups and of the other objective are there, and groups that are lost are other states.
+    #[test]
+    fn groups_and_the_heavier_complete_state_have_rows_of_their_own() {
+        let setup = Setup::new(None, true, dgs::pipeline::Quiet(true));
+        let size = Size { updates: 5, worlds: 2, states: 6, frames: 3, seeds: 1, ..Size::of(&setup) };
+        let study = Study::make(size).unwrap();
+        let by = |unit| drawn(&study, [independent(10.0)], unit).unwrap();
+        assert_ne!(by(LossUnit::Group), by(LossUnit::Packet));
+        let mixed = study.train(&validated(&study, Variant::Combined, 1)).unwrap();
+        let complete = study.train(&validated(&study, Variant::Reconstruction, 1)).unwrap();
+        let mut bench = Bench::new("erasure", "test");
+        let pairs = [[mixed, complete]];
+        groups(&mut bench, &study, &pairs, None).unwrap();
+        clean_heavier(&mut bench, &study, &pairs).unwrap();
+        for key in ["groups.iid5.psnr", "groups.iid10.worst10", "groups.iid10.flip"] {
+            assert_eq!(value(&bench, key).peer.as_deref(), Some("untrained"), "{key}");
+        }
+        for loss in ["iid10", "burst10"] {
+            for measure in ["clean", "psnr", "worst10", "cliffs"] {
+                let key = format!("clean_heavier.{loss}.{measure}");
+                assert_eq!(value(&bench, &key).peer.as_deref(), Some("mixed"), "{key}");
+            }
+        }
     }
 
     #[test]

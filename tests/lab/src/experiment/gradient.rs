@@ -1,6 +1,7 @@
 //! Measures gradients: their error against the f64 reference, their speed, what they tell about groups.
 
 mod groups;
+mod peer;
 mod rank;
 
 use std::time::Instant;
@@ -18,6 +19,7 @@ use render_host::{
 };
 use trainer_host::viewpoint::{Framing, Ring};
 
+use self::peer::{Peer, Timed};
 use super::{
     clock::milliseconds_of,
     cloud::{CloudShape, TestRng, beside, camera, cloud},
@@ -26,6 +28,9 @@ use crate::{
     figures::{Bench, Figure, median},
     setup::{Setup, load},
 };
+
+/// How often ours and the peer take turns.
+const TURNS: usize = 3;
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
@@ -36,7 +41,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
             "check: 8 Gaussians, 24x18, nothing cut, every parameter against central differences of the \
              f64 reference (worst: relative, at least 1 % of the class's largest; error: relative L2); \
              frames: ms forward, and forward with all gradients, default settings, medians of {runs} \
-             interleaved runs, beside one f64 reference forward; their error: derivative along a random \
+             interleaved runs, beside one f64 reference forward; opensplat: the same Gaussians, camera and \
+             target in OpenSplat's processor path, a program of its own, in three turns with ours, its \
+             picture against the same reference; their error: derivative along a random \
              change of all colours against the f64 reference; groups: first order of utilities from a \
              gradient, against leave-one-out by the engine's lanes"
         ),
@@ -163,18 +170,18 @@ fn losses(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
 
 /// Figure 1, with gradients.
 fn frames(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
+    let peer = Peer::installed()?;
+    if peer.is_none() {
+        bench.skipped.push(format!("OpenSplat: {} names no program of it", peer::PROGRAM));
+    }
+    let peer = peer.as_ref();
     let (counts, sides): (&[usize], &[u32]) =
         if setup.quick { (&[4000], &[160]) } else { (&[20_000, 100_000], &[400, 800]) };
     for &n in counts {
         let scene = cloud(CloudShape::Volume, n);
         for &side in sides {
-            frame(
-                bench,
-                &format!("random-{n}.{side}"),
-                &Splats::plain(&scene.gaussians),
-                &camera(side)?,
-                runs,
-            )?;
+            let name = format!("random-{n}.{side}");
+            frame(bench, &name, &Splats::plain(&scene.gaussians), &camera(side)?, (runs, peer))?;
         }
     }
     let biker = if setup.quick { None } else { setup.data("scenes/splat-biker/biker.spz", bench)? };
@@ -184,13 +191,20 @@ fn frames(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
         for &side in sides {
             let camera = &Framing::of(&scene).ring(Ring::HeldOut, 3, (side, side))?[0];
-            frame(bench, &format!("biker-{}.{side}", splats.len()), &splats, camera, runs)?;
+            let name = format!("biker-{}.{side}", splats.len());
+            frame(bench, &name, &splats, camera, (runs, peer))?;
         }
     }
     Ok(())
 }
 
-fn frame(bench: &mut Bench, name: &str, splats: &Splats, camera: &Camera, runs: usize) -> Result<()> {
+fn frame(
+    bench: &mut Bench,
+    name: &str,
+    splats: &Splats,
+    camera: &Camera,
+    (runs, peer): (usize, Option<&Peer>),
+) -> Result<()> {
     let settings = Settings::default();
     let (mut renderer, mut picture) = (Renderer::new(), Default::default());
     renderer.render_into(splats, camera, &settings, &mut picture)?;
@@ -199,10 +213,19 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, camera: &Camera, runs: 
     let slow = 1000.0 * start.elapsed().as_secs_f64();
     let error = exact.difference(picture.image.rgb()).unwrap_or_default();
     let target = beside(&picture.image)?;
-    let (mse, both) = (Mse::new(target.clone()), Distortion::new(target));
+    let (mse, both) = (Mse::new(target.clone()), Distortion::new(target.clone()));
     let (mut workspace, mut out) = (Workspace::new(), Gradients::default());
     let [mut forward, mut with_mse, mut with_both] = [const { Vec::new() }; 3];
-    for _ in 0..runs {
+    let mut theirs = Timed::default();
+    for run in 0..runs {
+        if let Some(peer) = peer
+            && run % runs.div_ceil(TURNS) == 0
+        {
+            let timed = peer.time(splats, camera, &target, runs.div_ceil(TURNS))?;
+            theirs.forward.extend(timed.forward);
+            theirs.with_mse.extend(timed.with_mse);
+            theirs.rgb = timed.rgb;
+        }
         milliseconds_of(&mut forward, || {
             Ok(renderer.render_into(splats, camera, &settings, &mut picture)?)
         })?;
@@ -219,6 +242,9 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, camera: &Camera, runs: 
             .peer("f64 reference forward", slow, true)
             .runs(runs),
     );
+    if let Some(difference) = exact.difference(&theirs.rgb).filter(|_| peer.is_some()) {
+        beside_peer(bench, &format!("{name}.opensplat"), [&forward, &with_mse], (&theirs, difference.psnr_db));
+    }
     let losses: [(&str, &dyn Loss, &[f64]); 2] = [("mse", &mse, &with_mse), ("mse+ssim", &both, &with_both)];
     for (which, loss, times) in losses {
         bench.push(
@@ -229,6 +255,17 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, camera: &Camera, runs: 
         );
     }
     Ok(())
+}
+
+/// Adds our times, of pictures and with gradients, beside the peer's, and how far its picture is from the
+/// reference, dB.
+fn beside_peer(bench: &mut Bench, name: &str, ours: [&[f64]; 2], (theirs, psnr_db): (&Timed, f64)) {
+    let parts = [("forward", ours[0], &theirs.forward), ("forward_backward", ours[1], &theirs.with_mse)];
+    for (part, ours, theirs) in parts {
+        let figure = Figure::new(format!("{name}.{part}"), median(ours), "ms");
+        bench.push(figure.peer("OpenSplat", median(theirs), true).runs(ours.len()));
+    }
+    bench.push(Figure::new(format!("{name}.its_psnr"), psnr_db, "dB"));
 }
 
 /// Relative error of the derivative along a random change of all colours. The picture is linear in

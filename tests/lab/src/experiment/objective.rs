@@ -2,11 +2,13 @@
 //! ones.
 
 use anyhow::Result;
-use trainer_host::train::delivery::{DeliveryOptions, Evaluation, LossModel, Masks, Variant, Weights};
+use trainer_host::train::delivery::{
+    ChannelRanges, DeliveryOptions, Evaluation, LossModel, Masks, Variant, Weights,
+};
 
 use super::delivery::{BURST, Size, Study, mean_and_deviation};
 use crate::{
-    figures::{Bench, Figure},
+    figures::{Bench, Figure, Machine},
     setup::Setup,
 };
 
@@ -14,74 +16,112 @@ use crate::{
 const LOSS: f64 = 0.05;
 /// Tail fractions of the sensitivity study; the first is the paper's.
 const FRACTIONS: [f64; 3] = [0.05, 0.10, 0.20];
+/// Worlds per update of the sensitivity study: of fewer, the least fraction would be a part of one world, and
+/// the tail is one world at least.
+const FRACTION_WORLDS: usize = 20;
+/// Whole streams per second that a link of too little bandwidth carries.
+const CAPACITY: f64 = 0.5;
+/// Its round-trip time and display deadline, seconds.
+const ROUND_TRIP_S: f64 = 0.1;
+const DEADLINE_S: f64 = 1.0;
 
 /// What one training came to.
 struct Tested {
     iid: Evaluation,
     burst: Evaluation,
+    /// Over links of too little bandwidth, with a deadline.
+    bandwidth: Evaluation,
+}
+
+/// The states that trainings are tested in.
+struct States {
+    iid: Masks,
+    burst: Masks,
+    bandwidth: Masks,
 }
 
 impl Tested {
-    /// Clean, and the worst tenth after either loss, dB.
-    fn conditions(&self) -> [f64; 3] {
-        [self.iid.clean_db, self.iid.worst_tenth_db(), self.burst.worst_tenth_db()]
+    /// Clean, and the worst tenth after either loss and over links of too little bandwidth, dB.
+    fn conditions(&self) -> [f64; 4] {
+        let worst = [&self.iid, &self.burst, &self.bandwidth].map(Evaluation::worst_tenth_db);
+        [self.iid.clean_db, worst[0], worst[1], worst[2]]
     }
 }
 
-const CONDITIONS: [&str; 3] = ["clean", "iid5_worst10", "burst5_worst10"];
+const CONDITIONS: [&str; 4] = ["clean", "iid5_worst10", "burst5_worst10", "bandwidth_worst10"];
+/// The first of them, in which variants are compared: a link that brings half of a stream leaves none of them
+/// a choice.
+const COMPARED: usize = 3;
+
+/// Links of which each brings about half a stream until the deadline, less what is lost by turns on its own
+/// and in bursts.
+fn narrow_links() -> ChannelRanges {
+    ChannelRanges {
+        capacity: [CAPACITY; 2],
+        round_trip_s: [ROUND_TRIP_S; 2],
+        deadline_s: [DEADLINE_S; 2],
+        iid: [LOSS; 2],
+        burst_share: [LOSS; 2],
+        burst_length: [BURST; 2],
+    }
+}
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
     let study = Study::make(Size::of(setup))?;
-    let iid = study.masks(LossModel::Iid { probability: LOSS })?;
-    let burst = study.masks(LossModel::Burst { share: LOSS, length: BURST })?;
+    let states = States {
+        iid: study.masks(LossModel::Iid { probability: LOSS })?,
+        burst: study.masks(LossModel::Burst { share: LOSS, length: BURST })?,
+        bandwidth: study.link_masks(&narrow_links())?,
+    };
     let mut bench = Bench::new(
         "objective",
         format!(
             "{}; mean over {} seeds, error: their standard deviation; {} states per loss, the same for all \
             (FNV-1a: IID 5 % \
-             {:016x}, bursts of {BURST} packets and as much {:016x}); weights are the paper's, the last \
-             update is taken; \
-             *-views: as many complete pictures per update as others have worlds",
+             {:016x}, bursts of {BURST} packets and as much {:016x}, links of {CAPACITY} streams a second, \
+             {ROUND_TRIP_S} s of round trip and {DEADLINE_S} s to the display, with either loss by turns, \
+             {:016x}); weights are the paper's, the last update is taken; \
+             *-views: as many complete pictures per update as others have worlds; cvar*: \
+             {FRACTION_WORLDS} worlds per update, of which 1, 2 and 4 are the tail",
             study.size.words(),
             study.size.seeds,
             study.size.states,
-            iid.hash(),
-            burst.hash()
+            states.iid.hash(),
+            states.burst.hash(),
+            states.bandwidth.hash()
         ),
     );
-    let given = Tested { iid: study.evaluate_given(&iid)?, burst: study.evaluate_given(&burst)? };
+    let given = Tested {
+        iid: study.evaluate_given(&states.iid)?,
+        burst: study.evaluate_given(&states.burst)?,
+        bandwidth: study.evaluate_given(&states.bandwidth)?,
+    };
     push(&mut bench, "given", std::slice::from_ref(&given));
     let mut means = Vec::new();
-    let mut combined = Vec::new();
     for variant in Variant::ALL {
-        let tested = test(&study, &study.options(variant), [&iid, &burst])?;
+        let tested = test(&study, &study.options(variant), &states)?;
         means.push(push(&mut bench, variant.name(), &tested));
-        combined = tested;
     }
     // What learned steps give: the same without.
     let fixed = DeliveryOptions { learn_steps: false, ..study.options(Variant::Combined) };
-    push(&mut bench, "mixed-steps-fixed", &test(&study, &fixed, [&iid, &burst])?);
+    push(&mut bench, "mixed-steps-fixed", &test(&study, &fixed, &states)?);
     let views = study.size.worlds;
     let complete = DeliveryOptions { views, worlds: 1, ..study.options(Variant::Reconstruction) };
-    push(&mut bench, "reconstruction-views", &test(&study, &complete, [&iid, &burst])?);
+    push(&mut bench, "reconstruction-views", &test(&study, &complete, &states)?);
 
     let others = &means[..means.len() - 1];
-    let wins =
-        (0..CONDITIONS.len()).filter(|&c| others.iter().all(|other| means[means.len() - 1][c] > other[c]));
+    let wins = (0..COMPARED).filter(|&c| others.iter().all(|other| means[means.len() - 1][c] > other[c]));
     bench.push(Figure::new(
         "mixed.wins",
         wins.count() as f64,
-        "of 3 conditions, against the other three variants",
+        "of the first 3 conditions, against the other three variants",
     ));
     for fraction in FRACTIONS {
-        let tested = if fraction == FRACTIONS[0] {
-            std::mem::take(&mut combined)
-        } else {
-            let weights = Weights { cvar_fraction: fraction, ..Weights::default() };
-            let options = DeliveryOptions { weights, ..study.options(Variant::Combined) };
-            test(&study, &options, [&iid, &burst])?
-        };
+        let weights = Weights { cvar_fraction: fraction, ..Weights::default() };
+        let worlds = FRACTION_WORLDS;
+        let options = DeliveryOptions { weights, worlds, ..study.options(Variant::Combined) };
+        let tested = test(&study, &options, &states)?;
         let p10 = |t: &Tested| {
             let worlds_db = [t.iid.worlds_db.as_slice(), &t.burst.worlds_db].concat();
             Evaluation { worlds_db, ..t.iid.clone() }.p10_db()
@@ -101,21 +141,27 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     Ok(bench)
 }
 
-/// `options` with each seed, tested on both kinds of states.
-fn test(study: &Study, options: &DeliveryOptions, [iid, burst]: [&Masks; 2]) -> Result<Vec<Tested>> {
+/// `options` with each seed, tested in all states.
+fn test(study: &Study, options: &DeliveryOptions, states: &States) -> Result<Vec<Tested>> {
     let mut tested = Vec::new();
     for seed in 1..=study.size.seeds {
         let options = DeliveryOptions { seed, ..options.clone() };
         let tuned = study.train(&options)?;
-        tested.push(Tested { iid: study.evaluate(&tuned, iid)?, burst: study.evaluate(&tuned, burst)? });
+        tested.push(Tested {
+            iid: study.evaluate(&tuned, &states.iid)?,
+            burst: study.evaluate(&tuned, &states.burst)?,
+            bandwidth: study.evaluate(&tuned, &states.bandwidth)?,
+        });
     }
     Ok(tested)
 }
 
 /// Adds the conditions of one variant and the bytes of its streams; gives the means of the former.
-fn push(bench: &mut Bench, name: &str, tested: &[Tested]) -> [f64; 3] {
+fn push(bench: &mut Bench, name: &str, tested: &[Tested]) -> [f64; 4] {
     let bytes: Vec<f64> = tested.iter().map(|t| t.iid.wire_bytes as f64).collect();
     bench.push(Figure::new(format!("{name}.bytes"), mean_and_deviation(&bytes).0, "bytes"));
+    let cliffs: Vec<f64> = tested.iter().map(|t| t.bandwidth.cliffs()).collect();
+    bench.push(Figure::new(format!("{name}.bandwidth_cliffs"), mean_and_deviation(&cliffs).0, "of states"));
     std::array::from_fn(|c| {
         let values: Vec<f64> = tested.iter().map(|t| t.conditions()[c]).collect();
         let (mean, deviation) = mean_and_deviation(&values);
@@ -138,8 +184,8 @@ fn memory(study: &Study, bench: &mut Bench) -> Result<()> {
         // Writing 5 resets the peak to what is in use.
         let is_reset = std::fs::write("/proc/self/clear_refs", "5").is_ok();
         study.train(&options)?;
-        match super::demo::peak_bytes().filter(|_| is_reset) {
-            Some(bytes) => peaks.push(bytes),
+        match Machine::peak_memory_bytes("self").filter(|_| is_reset) {
+            Some(bytes) => peaks.push(bytes as f64),
             None => {
                 bench.skipped.push("peak memory: this system does not tell (/proc/self)".into());
                 return Ok(());
@@ -153,4 +199,24 @@ fn memory(study: &Study, bench: &mut Bench) -> Result<()> {
         false,
     ));
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fractions of the sensitivity study are whole worlds, and a narrow link brings about half of a stream.
+    #[test]
+    fn conditions_are_what_they_are_called() {
+        let worlds = FRACTIONS.map(|fraction| fraction * FRACTION_WORLDS as f64);
+        assert_eq!(worlds, [1.0, 2.0, 4.0]);
+        let size = Size { states: 12, ..Size::of(&Setup::new(None, true, dgs::pipeline::Quiet(true))) };
+        let study = Study::make(size).unwrap();
+        let masks = study.link_masks(&narrow_links()).unwrap();
+        let narrow = study.evaluate_given(&masks).unwrap();
+        let lost = study.evaluate_given(&study.masks(LossModel::Iid { probability: LOSS }).unwrap()).unwrap();
+        assert_eq!(narrow.worlds_db.len(), 12);
+        assert!(narrow.mean_db() < lost.mean_db() - 1.0, "{} {}", narrow.mean_db(), lost.mean_db());
+        assert!(narrow.worlds_db.windows(2).any(|pair| pair[0] != pair[1]), "losses differ");
+    }
 }

@@ -11,6 +11,7 @@ use trainer_host::{
 
 use super::delivery::{Size, Study, mean_and_deviation};
 use crate::{
+    draw::curves::{Curve, Curves},
     figures::{Bench, Figure},
     setup::Setup,
 };
@@ -18,8 +19,18 @@ use crate::{
 /// Every so many training pictures one is for choosing the rank: held-out ones are for other figures.
 const VALIDATED: usize = 4;
 
+/// Ranks whose difference is shown, seed by seed.
+const PAIR: [usize; 2] = [2, 4];
+
 /// What a figure shows of a training.
 type Value = fn(&RankResult) -> f64;
+
+const VALUES: [(&str, &str, Value); 4] = [
+    ("clean", "dB", |r| r.clean_db),
+    ("burst5_p10", "dB", |r| r.p10_db),
+    ("burst5_worst10", "dB", |r| r.worst_tenth_db),
+    ("rate", "bytes", |r| r.wire_bytes as f64),
+];
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
@@ -34,7 +45,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
             "profile paper, variant mixed; {}, but as that profile has it; {} seeds, error: their standard \
             deviation; {} \
              states after bursts of 5 % by packets of each rank's own stream; the rank is chosen by rule, on \
-             every fourth training picture, which is then not trained on",
+             every fourth training picture, which is then not trained on; rank2_less_rank4: of the same seed",
             study.size.words(),
             seeds.len(),
             size.states
@@ -55,27 +66,81 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         let run = (rank, seed);
         results.extend(measure_rank(&study.scene, &training, &validation, &options, run, &went_on)?);
     }
-    let values: [(&str, &str, Value); 4] = [
-        ("clean", "dB", |r| r.clean_db),
-        ("burst5_p10", "dB", |r| r.p10_db),
-        ("burst5_worst10", "dB", |r| r.worst_tenth_db),
-        ("rate", "bytes", |r| r.wire_bytes as f64),
-    ];
     let mut table = String::from("rank,seed,clean_db,burst5_p10_db,burst5_worst10_db,wire_bytes\n");
     for r in &results {
         let (quality, bytes) = ([r.clean_db, r.p10_db, r.worst_tenth_db], r.wire_bytes);
         table += &format!("{},{},{},{},{},{bytes}\n", r.rank, r.seed, quality[0], quality[1], quality[2]);
     }
     setup.write("rank.csv", &table)?;
+    setup.write("rank.svg", &drawing(ranks, &results))?;
+    let mut push = |key: String, unit: &str, own: &[f64]| {
+        let (mean, deviation) = mean_and_deviation(own);
+        let figure = Figure::new(key, mean, unit);
+        bench.push(figure.error(deviation, &format!("{unit}, standard deviation")).runs(own.len()));
+    };
     for rank in ranks {
-        for (key, unit, value) in values {
-            let own: Vec<f64> = results.iter().filter(|r| r.rank == *rank).map(value).collect();
-            let (mean, deviation) = mean_and_deviation(&own);
-            let figure = Figure::new(format!("rank{rank}.{key}"), mean, unit);
-            bench.push(figure.error(deviation, &format!("{unit}, standard deviation")).runs(own.len()));
+        for (key, unit, value) in VALUES {
+            push(format!("rank{rank}.{key}"), unit, &of_rank(&results, *rank, value));
         }
+    }
+    for (key, unit, value) in VALUES {
+        let [low, high] = PAIR;
+        push(format!("rank{low}_less_rank{high}.{key}"), unit, &paired(&results, value));
     }
     let choice = choose_rank(&results).context("no rank was measured")?;
     bench.push(Figure::new("chosen", choice.rank as f64, choice.rule));
     Ok(bench)
+}
+
+/// `value` of each training at one rank, in the order of seeds.
+fn of_rank(results: &[RankResult], rank: usize, value: Value) -> Vec<f64> {
+    results.iter().filter(|r| r.rank == rank).map(value).collect()
+}
+
+/// `value` at the first rank of [`PAIR`] less that at the second with the same seed.
+fn paired(results: &[RankResult], value: Value) -> Vec<f64> {
+    let [low, high] = PAIR.map(|rank| of_rank(results, rank, value));
+    low.iter().zip(high).map(|(low, high)| low - high).collect()
+}
+
+/// Quality over size, a point per rank: a mean over seeds.
+fn drawing(ranks: &[usize], results: &[RankResult]) -> String {
+    let mean = |rank: usize, value: Value| mean_and_deviation(&of_rank(results, rank, value)).0;
+    let bytes = |rank: usize| mean(rank, |r| r.wire_bytes as f64);
+    let curve = |(name, _, value): (&str, &str, Value)| Curve {
+        name: name.to_owned(),
+        points: ranks.iter().map(|&rank| (bytes(rank), mean(rank, value))).collect(),
+    };
+    let sizes: Vec<String> = ranks.iter().map(|&rank| format!("{rank} at {:.0}", bytes(rank))).collect();
+    Curves {
+        title: "Rank of the shared temporal basis",
+        subtitle: &format!("rank at bytes: {}", sizes.join(", ")),
+        x_label: "bytes of packets and manifest",
+        y_label: "PSNR, dB",
+        curves: VALUES.into_iter().filter(|(_, unit, _)| *unit == "dB").map(curve).collect(),
+    }
+    .svg()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn result(rank: usize, seed: u64, p10_db: f64) -> RankResult {
+        let (clean_db, worst_tenth_db) = (p10_db + 5.0, p10_db - 1.0);
+        RankResult { rank, seed, clean_db, p10_db, worst_tenth_db, wire_bytes: 1000 + 100 * rank as u64 }
+    }
+
+    #[test]
+    fn ranks_are_paired_by_seed_and_each_has_a_point_of_every_quality() {
+        let results: Vec<RankResult> = [(0, 20.0), (2, 25.0), (4, 24.0)]
+            .into_iter()
+            .flat_map(|(rank, db)| [1, 2].map(|seed| result(rank, seed, db + seed as f64 * rank as f64)))
+            .collect();
+        assert_eq!(paired(&results, |r| r.p10_db), [27.0 - 28.0, 29.0 - 32.0]);
+        assert_eq!(paired(&results, |r| r.wire_bytes as f64), [-200.0, -200.0]);
+        let svg = drawing(&[0, 2, 4], &results);
+        assert_eq!(svg.matches("<circle").count(), 9);
+        assert!(svg.contains("0 at 1000, 2 at 1200, 4 at 1400") && svg.contains(">clean</text>"), "{svg}");
+    }
 }

@@ -1,5 +1,9 @@
 //! Times one iteration of training by stage, with the error beside each part.
 
+mod measure;
+mod step;
+mod switches;
+
 use std::time::Instant;
 
 use anyhow::{Context, Result};
@@ -17,15 +21,12 @@ use render_host::{
     metric,
 };
 
-use super::{clock::seconds, gradient::along_colours};
+use self::measure::{WEIGHTS, WHITE, apart, ms};
+use super::{demo::push_peak_memory, gradient::along_colours};
 use crate::{
     figures::{Bench, Figure, median},
     setup::{Setup, synth},
 };
-
-/// Weights of L1 and of `1 - SSIM`, as trainers have them.
-const WEIGHTS: Weights = Weights { absolute: 0.8, squared: 0.0, structure: 0.2 };
-const WHITE: [f32; 3] = [1.0; 3];
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
@@ -38,7 +39,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
              processor time on one thread, medians of {runs} interleaved runs; loss 0.8 L1 + 0.2 (1 - SSIM); \
              peer: MSE + 0.20 (1 - SSIM) with a target \
              prepared beforehand; `device`: wall time of picture, loss, gradients and statistics, the \
-             processor on all threads, a graphics device with the loss on the processor"
+             processor on all threads, a graphics device with the loss on the processor; {}; {}",
+            step::PROTOCOL,
+            switches::PROTOCOL
         ),
     );
     let scene = synth("figure", gaussians, 4)?;
@@ -52,7 +55,12 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         let photograph = photograph(&seen, &camera)?;
         iteration(&mut bench, &splats, &photograph, &camera, runs)?;
         devices(&mut bench, &splats, &photograph, &camera, runs, &backends)?;
+        step::stages(&mut bench, &scene, side, gaussians, runs)?;
     }
+    push_peak_memory(&mut bench);
+    let side = sides[0];
+    let camera = Camera::look_at([2.6, 0.6, 3.4], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 0.69, side, side)?;
+    switches::tolerances(&mut bench, &splats, &photograph(&seen, &camera)?, &camera)?;
     Ok(bench)
 }
 
@@ -102,18 +110,6 @@ fn devices(
     Ok(())
 }
 
-/// Relative L2 distance of the gradients of positions.
-fn apart(found: &Gradients, expected: &Gradients) -> f64 {
-    let (mut off, mut all) = (0.0, 0.0);
-    for (a, b) in found.splats.iter().zip(&expected.splats) {
-        for (a, b) in a.position.iter().zip(b.position) {
-            off += f64::from(a - b).powi(2);
-            all += f64::from(b).powi(2);
-        }
-    }
-    (off / all).sqrt()
-}
-
 /// What a camera sees of `splats`, with transparency.
 fn photograph(splats: &Splats, camera: &Camera) -> Result<Photograph> {
     let picture = render_host::render(splats, camera, &Settings::default())?;
@@ -123,14 +119,6 @@ fn photograph(splats: &Splats, camera: &Camera) -> Result<Photograph> {
         [colour[0].min(alpha), colour[1].min(alpha), colour[2].min(alpha), alpha]
     });
     Ok(Photograph::new(camera.width(), camera.height(), pixels.collect())?)
-}
-
-/// Milliseconds of `work` on this thread.
-fn ms(times: &mut Vec<f64>, work: impl FnOnce() -> Result<()>) -> Result<()> {
-    let start = seconds();
-    work()?;
-    times.push(1000.0 * (seconds() - start));
-    Ok(())
 }
 
 /// Figure 6: the stages of one iteration.

@@ -3,6 +3,7 @@
 mod ablations;
 pub(super) mod channels;
 mod controllers;
+mod limits;
 mod optimum;
 mod paired;
 mod pictures;

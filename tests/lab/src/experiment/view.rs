@@ -27,7 +27,7 @@ use crate::{
 const SIZE: [u32; 2] = [640, 360];
 /// Frames of the clips.
 const FRAMES: usize = 30;
-/// Most bytes of player and glue, compressed.
+/// Most bytes of player, glue, page and scripts, compressed.
 const MAX_BYTES: f64 = 1.5e6;
 /// How long frames are counted, seconds.
 const COUNTED_S: f64 = 5.0;
@@ -89,16 +89,42 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     Ok(bench)
 }
 
-/// Bytes of what a browser loads.
+/// What a browser loads: the page, and all that it and its scripts name, each once.
+fn loaded() -> Vec<&'static str> {
+    let mut names = vec!["index.html"];
+    let mut at = 0;
+    while let Some(asset) = names.get(at).copied().and_then(dgs_viewer::asset) {
+        at += 1;
+        // WebAssembly names nothing.
+        let text = std::str::from_utf8(asset.bytes).unwrap_or("");
+        for wording in ["\"./", "href=\""] {
+            for part in text.split(wording).skip(1) {
+                let named = part.split('"').next().unwrap_or("");
+                let is_known = named.is_empty() || names.contains(&named);
+                if !is_known && dgs_viewer::asset(named).is_some() {
+                    names.push(named);
+                }
+            }
+        }
+    }
+    names
+}
+
+/// Bytes of what a browser loads, each file compressed by itself as a server sends it.
 fn package(bench: &mut Bench) -> Result<()> {
-    let mut all = 0.0;
-    for name in ["dgs_viewer_bg.wasm", "dgs_viewer.js"] {
+    let (mut all, mut page) = (0.0, 0.0);
+    for name in loaded() {
         let bytes = dgs_viewer::asset(name).with_context(|| format!("{name} is not built in"))?.bytes;
         let gzip = gzipped(bytes)?;
         all += gzip;
-        bench.push(Figure::new(format!("bytes.{name}"), bytes.len() as f64, "bytes"));
-        bench.push(Figure::new(format!("gzip_bytes.{name}"), gzip, "bytes"));
+        if name.starts_with("dgs_viewer") {
+            bench.push(Figure::new(format!("bytes.{name}"), bytes.len() as f64, "bytes"));
+            bench.push(Figure::new(format!("gzip_bytes.{name}"), gzip, "bytes"));
+        } else {
+            page += gzip;
+        }
     }
+    bench.push(Figure::new("gzip_bytes.page", page, "bytes"));
     bench.push(Figure::new("gzip_bytes.player", all, "bytes").peer("aim", MAX_BYTES, true));
     ensure!(all <= MAX_BYTES, "the player takes {all} bytes compressed; {MAX_BYTES} are allowed");
     Ok(())
@@ -195,6 +221,21 @@ fn serve(file: Vec<u8>) -> Result<(String, oneshot::Sender<()>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Nothing that a browser loads is left out of the count.
+    #[test]
+    fn every_file_of_the_page_is_counted() {
+        let names = loaded();
+        for folder in ["page", "dist"] {
+            let path = format!("{}/../../render-host/viewer/{folder}", env!("CARGO_MANIFEST_DIR"));
+            for entry in std::fs::read_dir(path).unwrap() {
+                let name = entry.unwrap().file_name().into_string().unwrap();
+                let counts = names.iter().filter(|counted| **counted == name).count();
+                let is_loaded = !name.ends_with(".d.ts") && name != "sources.txt";
+                assert_eq!(counts, usize::from(is_loaded), "{name}");
+            }
+        }
+    }
 
     #[test]
     fn what_repeats_is_small_and_noise_is_not() {

@@ -319,9 +319,11 @@ def encode(
     """Encodes a scene, with the options of ``dgs encode`` under their names there.
 
     Targets, of which one may be given: bits on the wire per Gaussian, bytes on the wire, or PSNR in dB from
-    validation cameras; the coarseness is then chosen. ``repair``: parity, "none", "standard", "strong", "full"
-    or a list of KIND=K+R. ``progress`` hears the stage and the share of it that is done, 0 to 1; an exception
-    that it raises, and Ctrl-C, end the encoding at that stage. Equal scenes and options give equal bytes.
+    validation cameras, pictures weighed by the share that the scene covers; the coarseness is then chosen.
+    ``repair``: parity, "none", "standard", "strong", "full" or a list of KIND=K+R. ``progress`` hears the stage,
+    or which encoding of a search for a target it is, and the share of the whole that is done, 0 to 1, which
+    never falls; an exception that it raises, and Ctrl-C, end the encoding there. Equal scenes and options give
+    equal bytes.
     """
 
 def render(

@@ -37,7 +37,7 @@ pub(in crate::encode) fn write(
     let model = Model::of(decisions)?;
     check_table_indices(&epochs, &model)?;
 
-    report(progress, "packetise", 0.0)?;
+    report(progress, "packetise", 0.4)?;
     let batches = slice_batches(&epochs);
     let strength = |batch: &SliceBatch<'_>| {
         let moving = matches!(batch.span, Span::Motion(_));
@@ -50,6 +50,7 @@ pub(in crate::encode) fn write(
     let drafts: Result<Vec<Vec<PacketDraft>>, EncodeError> =
         batches.par_iter().map(|batch| packetise(batch, &model, limit(batch))).collect();
     let drafts = drafts?;
+    report(progress, "packetise", 0.8)?;
 
     let order: Vec<Vec<u32>> = decisions
         .epochs

@@ -32,24 +32,30 @@ const FRAMES: usize = 4;
 
 /// About `share` (above 0, at most 1) of each epoch's Gaussians, which look like all of them: neighbours
 /// become one, as the module says. What does not become one with another stays bit for bit. The same scene
-/// gives the same result on any number of threads, in O(n log n) steps.
+/// gives the same result on any number of threads, in O(n log n) steps. `progress` hears before each round
+/// the share of the work that is done, 0 to 1.
 ///
 /// # Errors
 /// A share out of range.
-pub fn decimate(scene: &Scene, share: f64) -> Result<Scene, EditError> {
+pub fn decimate(scene: &Scene, share: f64, progress: &mut dyn FnMut(f64)) -> Result<Scene, EditError> {
     if !(share > 0.0 && share <= 1.0) {
         let allowed = "above 0, at most 1";
         return Err(EditError::Range { field: "share of Gaussians", found: share, allowed });
     }
+    let all = scene.epochs().iter().map(Epoch::count).sum::<usize>().max(1) as f64;
+    let mut before = 0;
     edited(scene, |epoch| {
         let n = epoch.count();
         let left = ((n as f64 * share).round() as usize).clamp(n.min(1), n);
-        if left == n { Ok(epoch.clone()) } else { thinned(epoch, left) }
+        let mut heard = |done: f64| progress((before as f64 + n as f64 * done) / all);
+        let made = if left == n { Ok(epoch.clone()) } else { thinned(epoch, left, &mut heard) };
+        before += n;
+        made
     })
 }
 
-/// An epoch of `left` Gaussians, at least one and fewer than there are.
-fn thinned(epoch: &Epoch, left: usize) -> Result<Epoch, SceneError> {
+/// An epoch of `left` Gaussians, at least one and fewer than there are. `progress` hears the share done.
+fn thinned(epoch: &Epoch, left: usize, progress: &mut dyn FnMut(f64)) -> Result<Epoch, SceneError> {
     let n = epoch.count();
     let last = if epoch.attributes().is_constant() { 0 } else { epoch.frames() - 1 };
     let looked_at = FRAMES.min(last + 1);
@@ -63,6 +69,8 @@ fn thinned(epoch: &Epoch, left: usize) -> Result<Epoch, SceneError> {
     let rounds = (share.ln() / LEFT.ln()).ceil().max(1.0);
     let leaves = share.powf(1.0 / rounds);
     while groups.len() > left {
+        // A round takes what its groups do, and each leaves the same share of them.
+        progress((n - groups.len()) as f64 / (n - left) as f64);
         let wanted = ((groups.len() as f64 * leaves) as usize).clamp(left, groups.len() - 1);
         for (i, j) in chosen(&nodes, &groups, groups.len() - wanted) {
             nodes.join(i as usize, j as usize);

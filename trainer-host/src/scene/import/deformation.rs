@@ -26,11 +26,10 @@ use self::{
 };
 use super::{
     Limits,
-    archive::Archive,
     error::{Format, ImportError},
     ply,
     snapshot::{Columns, scene_error},
-    tensors::{Tensors, is_safetensors},
+    tensors::Tensors,
 };
 use crate::scene::{Attributes, Epoch, Scene, Track};
 
@@ -55,15 +54,9 @@ enum Field {
     Warp(Box<Warp>),
 }
 
-/// Whether an npz or safetensors file holds such a network.
-pub(super) fn is_field(bytes: &[u8]) -> bool {
-    let marks = || std::iter::once(planes::MARK).chain(warp::MARKS);
-    if is_safetensors(bytes) {
-        let limits = Limits::default();
-        return Tensors::open(bytes, &limits, FORMAT).is_ok_and(|file| marks().any(|mark| file.has(mark)));
-    }
-    Archive::new(bytes, &Limits::default(), FORMAT)
-        .is_ok_and(|archive| marks().any(|mark| archive.has(&format!("{mark}.npy"))))
+/// Whether a file holds such a network.
+pub(super) fn is_in(tensors: &Tensors<'_>) -> bool {
+    std::iter::once(planes::MARK).chain(warp::MARKS).any(|mark| tensors.has(mark))
 }
 
 /// Reads the network in `bytes` and what it moves, at `frames` times.

@@ -1,6 +1,7 @@
-//! Reads what Dynamic 3D Gaussians trains: `params.npz`, in which every Gaussian lives through the clip.
+//! Reads what Dynamic 3D Gaussians trains: `params.npz`, in which every Gaussian lives through the clip, or
+//! the same arrays in a safetensors file.
 //!
-//! Members: `means3D` (T×N×3), `unnorm_rotations` (T×N×4, wxyz), `rgb_colors` (T×N×3 or N×3, display colour),
+//! Arrays: `means3D` (T×N×3), `unnorm_rotations` (T×N×4, wxyz), `rgb_colors` (T×N×3 or N×3, display colour),
 //! `logit_opacities` (N×1), `log_scales` (N×3 or N×1). Others are skipped. Axes are kept: those of the
 //! cameras it was trained with, y down.
 
@@ -8,27 +9,26 @@ use codec_core::ShDegree;
 
 use super::{
     Limits,
-    archive::Archive,
     error::{Format, ImportError},
-    points_npz::npy::Array,
     snapshot::{finished, scene_error, sh0_of_colour},
+    tensors::Tensors,
 };
 use crate::scene::{Attributes, Scene, Track};
 
 const FORMAT: Format = Format::DynamicNpz;
-/// A member that only archives of this kind have.
-pub(super) const MARK: &str = "unnorm_rotations.npy";
+/// An array that only files of this kind have.
+pub(super) const MARK: &str = "unnorm_rotations";
 /// Bytes that a Gaussian takes in one frame: position, rotation, colour.
 const FRAME_BYTES: u64 = 12 + 16 + 12;
 
-/// Reads the archive as a scene of one epoch.
+/// Reads an npz or safetensors file as a scene of one epoch.
 ///
 /// # Errors
-/// A damaged archive, a missing or misshapen array, values that are not numbers (unless `keep_readable`), or
+/// A damaged file, a missing or misshapen array, values that are not numbers (unless `keep_readable`), or
 /// more than `limits` allow.
 pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Scene, ImportError> {
-    let mut archive = Archive::new(bytes, limits, FORMAT)?;
-    let means = Array::open(&mut archive, "means3D")?;
+    let mut tensors = Tensors::open(bytes, limits, FORMAT)?;
+    let means = tensors.unread("means3D")?;
     let &[frames, n, 3] = means.shape() else { return Err(means.misshapen("T x N x 3")) };
     limits.gaussians(FORMAT, n as u64)?;
     limits.gaussians(FORMAT, frames as u64)?;
@@ -36,14 +36,14 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
     let mut positions: Vec<[f32; 3]> = Vec::new();
     means.rows(3, |v| positions.push(three(v)))?;
 
-    let array = Array::open(&mut archive, "unnorm_rotations")?;
+    let array = tensors.unread("unnorm_rotations")?;
     if array.shape() != [frames, n, 4] {
         return Err(array.misshapen(&format!("{frames} x {n} x 4")));
     }
     let mut rotations: Vec<[f32; 4]> = Vec::new();
     array.rows(4, |v| rotations.push([0, 1, 2, 3].map(|i| v[i] as f32)))?;
 
-    let array = Array::open(&mut archive, "rgb_colors")?;
+    let array = tensors.unread("rgb_colors")?;
     let is_still = array.shape() == [n, 3];
     if !is_still && array.shape() != [frames, n, 3] {
         return Err(array.misshapen(&format!("{frames} x {n} x 3 or {n} x 3")));
@@ -51,14 +51,14 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
     let mut sh0: Vec<[f32; 3]> = Vec::new();
     array.rows(3, |v| sh0.push(three(v).map(sh0_of_colour)))?;
 
-    let array = Array::open(&mut archive, "logit_opacities")?;
+    let array = tensors.unread("logit_opacities")?;
     if array.shape() != [n, 1] && array.shape() != [n] {
         return Err(array.misshapen(&format!("{n} x 1")));
     }
     let mut opacity_logits: Vec<f32> = Vec::new();
     array.rows(1, |v| opacity_logits.push(v[0] as f32))?;
 
-    let array = Array::open(&mut archive, "log_scales")?;
+    let array = tensors.unread("log_scales")?;
     let mut log_scales: Vec<[f32; 3]> = Vec::new();
     match *array.shape() {
         [count, 3] if count == n => array.rows(3, |v| log_scales.push(three(v)))?,
@@ -89,6 +89,8 @@ fn three(v: &[f64]) -> [f32; 3] {
 pub(super) mod tests {
     use std::io::{Cursor, Write};
 
+    use safetensors::{Dtype, tensor::TensorView};
+
     use super::*;
 
     /// An archive of members: name, shape, values; `edit` may change a shape.
@@ -104,6 +106,23 @@ pub(super) mod tests {
             zip.write_all(&values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>()).unwrap();
         }
         zip.finish().unwrap().into_inner()
+    }
+
+    /// The arrays `names` of an npz as a safetensors file.
+    pub fn safetensors_of(npz: &[u8], names: &[&str]) -> Vec<u8> {
+        let limits = Limits::default();
+        let mut arrays = Tensors::open(npz, &limits, FORMAT).unwrap();
+        let read: Vec<(&str, Vec<usize>, Vec<u8>)> = names
+            .iter()
+            .map(|&name| {
+                let array = arrays.get(name).unwrap();
+                (name, array.shape, array.values.iter().flat_map(|v| v.to_le_bytes()).collect())
+            })
+            .collect();
+        let views = read
+            .iter()
+            .map(|(name, shape, bytes)| (*name, TensorView::new(Dtype::F32, shape.clone(), bytes).unwrap()));
+        safetensors::serialize(views.collect::<Vec<_>>(), None).unwrap()
     }
 
     /// Two frames of two Gaussians; `edit` may change a member's shape.
@@ -129,6 +148,23 @@ pub(super) mod tests {
         assert_eq!((g[0].rotation, g[0].opacity), ([1.0, 0.0, 0.0, 0.0], 0.5));
         assert!((0.5 + 0.282_094_8 * g[1].sh0[2] - 0.75).abs() < 1e-6);
         assert!(scene.epochs()[0].attributes().sh0.is_constant());
+    }
+
+    #[test]
+    fn a_safetensors_file_of_the_same_arrays_is_the_same_scene() {
+        let npz = sample(|_, shape| shape.to_owned());
+        let tensors = safetensors_of(
+            &npz,
+            &["means3D", "unnorm_rotations", "rgb_colors", "logit_opacities", "log_scales"],
+        );
+        let [scene, same] = [&npz, &tensors].map(|bytes| parse(bytes, 30.0, &Limits::default()).unwrap());
+        assert_eq!(same.instant(1), scene.instant(1));
+        assert_eq!((same.frames(), same.max_count(), &same.notes), (2, 2, &scene.notes));
+        let without = safetensors_of(&npz, &["means3D", "unnorm_rotations", "logit_opacities", "log_scales"]);
+        let error = parse(&without, 30.0, &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains("rgb_colors: found nothing"), "{error}");
+        let limits = Limits { max_gaussians: 1, ..Limits::default() };
+        assert!(parse(&tensors, 30.0, &limits).unwrap_err().to_string().contains("Gaussian count"));
     }
 
     #[test]

@@ -29,9 +29,9 @@ pub enum Format {
     Ksplat,
     /// splaTV: splats with polynomial motion.
     Splatv,
-    /// A training of Dynamic 3D Gaussians, a NumPy archive.
+    /// A training of Dynamic 3D Gaussians, as npz or safetensors.
     DynamicNpz,
-    /// Parameters of gsplat as NPZ.
+    /// Parameters of gsplat, as npz or safetensors.
     GsplatNpz,
     /// A network that moves Gaussians, as npz or safetensors.
     Deformation,
@@ -57,8 +57,8 @@ impl fmt::Display for Format {
             Format::GltfSplats => "glTF of Gaussians",
             Format::Ksplat => "ksplat",
             Format::Splatv => "splatv",
-            Format::DynamicNpz => "NPZ of Dynamic 3D Gaussians",
-            Format::GsplatNpz => "NPZ of gsplat",
+            Format::DynamicNpz => "arrays of Dynamic 3D Gaussians",
+            Format::GsplatNpz => "arrays of gsplat",
             Format::Deformation => "deformation field",
             Format::FourDgs => "4dgs",
             Format::Sequence => "numbered sequence",

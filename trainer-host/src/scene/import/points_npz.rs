@@ -1,5 +1,5 @@
 //! Reads coloured points with cameras from a NumPy archive, as splat trainers start from; or what gsplat has
-//! made of such.
+//! made of such, which may be a safetensors file too.
 //!
 //! Members `means3d` (N×3 floats) and `colors` (N×3 bytes, or floats in 0..=1) are needed; `viewmats`
 //! (C×3×4 or C×4×4 world-to-camera), `Ks` (C×3×3), `width` and `height` make cameras where all four
@@ -24,6 +24,7 @@ use super::{
     error::{Format, ImportError},
     nearest::Tree,
     snapshot::{Columns, keep, left_out, logit, scene_error, sh0_of_colour},
+    tensors::Tensors,
 };
 use crate::scene::Scene;
 
@@ -35,12 +36,13 @@ const NEIGHBOURS: usize = 3;
 /// Reads the archive as a scene of one frame.
 ///
 /// # Errors
-/// A damaged archive, a missing or misshapen array, or more than `limits` allow.
+/// A damaged file, a missing or misshapen array, or more than `limits` allow.
 pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Scene, ImportError> {
-    let mut archive = Archive::new(bytes, limits, FORMAT)?;
-    if gsplat::is_in(&archive) {
-        return gsplat::parse(archive, frames_per_second, limits);
+    let tensors = Tensors::open(bytes, limits, FORMAT)?;
+    if gsplat::is_in(&tensors) {
+        return gsplat::parse(tensors, frames_per_second, limits);
     }
+    let mut archive = Archive::new(bytes, limits, FORMAT)?;
     let mut positions = positions(&mut archive, limits)?;
     let mut sh0 = colours(&mut archive, positions.len())?;
     let mut notes = Vec::new();

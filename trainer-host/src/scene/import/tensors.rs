@@ -1,7 +1,7 @@
 //! Reads named arrays of floats: members of a NumPy archive, or tensors of a safetensors file.
 
 use half::{bf16, f16};
-use safetensors::{Dtype, SafeTensors};
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
 use super::{
     Limits,
@@ -104,26 +104,95 @@ impl<'a> Tensors<'a> {
                 Ok(Tensor { shape, values })
             }
             Source::Safetensors(file) => {
-                let malformed = |found: &str, allowed: &str| self.format.malformed(name, found, allowed);
-                let view = file.tensor(name).map_err(|_| malformed("nothing", "a tensor of this name"))?;
+                let view = tensor(file, name, self.format)?;
                 too_many(view.shape())?;
-                let bytes = view.data();
-                let values = match view.dtype() {
-                    Dtype::F32 => floats(bytes, f32::from_le_bytes),
-                    Dtype::F64 => floats(bytes, |b| f64::from_le_bytes(b) as f32),
-                    Dtype::F16 => floats(bytes, |b| f16::from_le_bytes(b).to_f32()),
-                    Dtype::BF16 => floats(bytes, |b| bf16::from_le_bytes(b).to_f32()),
-                    other => return Err(malformed(&format!("{other:?}"), "F16, BF16, F32 or F64")),
-                };
-                Ok(Tensor { shape: view.shape().to_vec(), values })
+                Ok(Tensor { shape: view.shape().to_vec(), values: values(&view, name, self.format)? })
             }
         }
+    }
+
+    /// An array whose values are still to be read, so that its shape can be refused before.
+    ///
+    /// # Errors
+    /// No such array, or one of a kind that is not read.
+    pub fn unread<'m>(&'m mut self, name: &'m str) -> Result<Unread<'m, 'a>, ImportError> {
+        let format = self.format;
+        Ok(match &mut self.source {
+            Source::Npz(archive) => Unread::Npz(Box::new(Array::open(archive, name)?)),
+            Source::Safetensors(file) => {
+                Unread::Safetensors { view: tensor(file, name, format)?, name, format }
+            }
+        })
     }
 
     /// The format that errors name.
     pub fn format(&self) -> Format {
         self.format
     }
+}
+
+/// An array whose shape is known and whose values have not been read.
+pub(super) enum Unread<'m, 'a> {
+    /// A member of an archive.
+    Npz(Box<Array<'m, 'a>>),
+    /// A tensor, and what errors name.
+    Safetensors { view: TensorView<'a>, name: &'m str, format: Format },
+}
+
+impl Unread<'_, '_> {
+    /// Lengths along the axes. The caller accepts them before it asks for values.
+    pub fn shape(&self) -> &[usize] {
+        match self {
+            Self::Npz(array) => array.shape(),
+            Self::Safetensors { view, .. } => view.shape(),
+        }
+    }
+
+    /// Gives every `width` values in a row (at least one) to `take`, the last axis first.
+    ///
+    /// # Errors
+    /// Fewer values than the shape says, values that are no floats, or a damaged member.
+    pub fn rows(self, width: usize, mut take: impl FnMut(&[f64])) -> Result<(), ImportError> {
+        match self {
+            Self::Npz(array) => array.rows(width, take),
+            Self::Safetensors { view, name, format } => {
+                let mut row = Vec::with_capacity(width);
+                for found in values(&view, name, format)?.chunks_exact(width) {
+                    row.clear();
+                    row.extend(found.iter().map(|&value| f64::from(value)));
+                    take(&row);
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// The error of a shape that is not `allowed`.
+    pub fn misshapen(&self, allowed: &str) -> ImportError {
+        match self {
+            Self::Npz(array) => array.misshapen(allowed),
+            Self::Safetensors { view, name, format } => {
+                format.malformed(format!("shape of {name}"), format!("{:?}", view.shape()), allowed)
+            }
+        }
+    }
+}
+
+/// The tensor `name` of a file, on behalf of `format`.
+fn tensor<'a>(file: &SafeTensors<'a>, name: &str, format: Format) -> Result<TensorView<'a>, ImportError> {
+    file.tensor(name).map_err(|_| format.malformed(name, "nothing", "a tensor of this name"))
+}
+
+/// The values of tensor `name`, the last axis first.
+fn values(view: &TensorView<'_>, name: &str, format: Format) -> Result<Vec<f32>, ImportError> {
+    let bytes = view.data();
+    Ok(match view.dtype() {
+        Dtype::F32 => floats(bytes, f32::from_le_bytes),
+        Dtype::F64 => floats(bytes, |b| f64::from_le_bytes(b) as f32),
+        Dtype::F16 => floats(bytes, |b| f16::from_le_bytes(b).to_f32()),
+        Dtype::BF16 => floats(bytes, |b| bf16::from_le_bytes(b).to_f32()),
+        other => return Err(format.malformed(name, format!("{other:?}"), "F16, BF16, F32 or F64")),
+    })
 }
 
 fn floats<const N: usize>(bytes: &[u8], value: impl Fn([u8; N]) -> f32) -> Vec<f32> {

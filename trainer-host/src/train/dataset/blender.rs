@@ -94,6 +94,17 @@ fn photographs(folder: &Path, path: &Path) -> Result<(Vec<ListedPhotograph>, Opt
             allowed: "of all frames or of none is allowed",
         });
     }
+    let is_outside = |time: f64| !(0.0..=1.0).contains(&(time as f32));
+    for (index, view) in named.iter().enumerate() {
+        if let Some(time) = view.time.filter(|&time| is_outside(time)) {
+            return Err(DatasetError::Field {
+                path: path.to_owned(),
+                field: format!("time of frame {index}, {},", view.name),
+                found: time.to_string(),
+                allowed: "0 to 1 is allowed",
+            });
+        }
+    }
     let images = named.iter().map(|view| image_path(folder, &view.name)).collect::<Result<Vec<_>, _>>()?;
     let nerfstudio::Extras { masks, splits } = nerfstudio::read(path, text)?;
     let sizes = claimed_sizes(&images)?;

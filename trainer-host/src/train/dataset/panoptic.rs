@@ -29,6 +29,10 @@ use crate::{
     },
 };
 
+/// The file of photographs to train on.
+const TRAINING: &str = "train_meta.json";
+/// The file of those to test on, which need not be there.
+const TEST: &str = "test_meta.json";
 /// Points that training starts with, since the layout has none that we may rely on.
 const POINTS: usize = 20_000;
 /// Most points drawn until there are so many.
@@ -53,13 +57,21 @@ struct Meta {
 }
 
 pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Option<Trimmed>), DatasetError> {
-    let has_test = folder.join("test_meta.json").is_file();
+    let has_test = folder.join(TEST).is_file();
     let listed = Listed {
         folder: folder.to_owned(),
-        train: split(folder, "train_meta.json")?,
+        train: split(folder, TRAINING)?,
         validation: Vec::new(),
-        test: if has_test { split(folder, "test_meta.json")? } else { Vec::new() },
+        test: if has_test { split(folder, TEST)? } else { Vec::new() },
     };
+    if listed.train.is_empty() {
+        return Err(DatasetError::Field {
+            path: folder.join(TRAINING),
+            field: "fn".to_owned(),
+            found: "empty".to_owned(),
+            allowed: "at least 1 photograph to train on is needed",
+        });
+    }
     let photographs = listed.read(max_side)?;
     let train = photographs.train.photographs();
     let free_space = free_space(train);

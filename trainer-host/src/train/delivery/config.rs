@@ -93,7 +93,8 @@ impl Default for Weights {
 pub enum LossUnit {
     /// A packet: some blocks of a group in `dgs1`.
     Packet,
-    /// A completion group.
+    /// A completion group: in training the packets that begin with it, in [`Masks::draw`](super::Masks::draw)
+    /// it alone.
     Group,
 }
 

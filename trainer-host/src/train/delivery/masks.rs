@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use codec_core::internals::{closure::Arrived, digest::Digest};
+use codec_core::internals::{closure::Arrived, digest::Digest, ids::Group};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
@@ -37,7 +37,9 @@ impl Masks {
         Err(DeliveryError::Setting { field, found, allowed: "states of the stream's blocks".to_owned() })
     }
 
-    /// `count` states of `stream` after `loss` by packets or by groups, from `seed`.
+    /// `count` states of `stream` after `loss` by packets or by groups, from `seed`. Groups, in the order in
+    /// which their first symbols are sent, are lost or there as wholes, whatever packets they share; parity
+    /// then repairs nothing.
     ///
     /// # Errors
     /// A stream whose manifest does not hold.
@@ -49,10 +51,42 @@ impl Masks {
         seed: u64,
     ) -> Result<Self, DeliveryError> {
         let sampler = Sampler::new(stream, unit)?;
+        let groups = sampler.groups();
         let draw = |index| {
             let mut rng = random(seed, Purpose::Test, 0, index);
-            let lost = loss.lost(sampler.units(), &mut rng);
-            sampler.state(&lost.iter().map(|lost| !lost).collect::<Vec<_>>())
+            match unit {
+                LossUnit::Packet => {
+                    let lost = loss.lost(sampler.units(), &mut rng);
+                    sampler.state(&lost.iter().map(|lost| !lost).collect::<Vec<_>>())
+                }
+                LossUnit::Group => {
+                    let lost = loss.lost(groups.len(), &mut rng);
+                    let has = |group: &Group| groups.get(group).is_some_and(|&number| !lost[number]);
+                    sampler.map.state_of_groups(has)
+                }
+            }
+        };
+        Ok(Self { states: (0..count).map(draw).collect() })
+    }
+
+    /// The same over links drawn from `ranges`, with their capacity, delay and display deadline: what is lost
+    /// by turns on its own and in bursts, and what comes too late, is missing.
+    ///
+    /// # Errors
+    /// As [`Masks::draw`].
+    pub fn draw_links(
+        stream: &Stream,
+        ranges: &ChannelRanges,
+        unit: LossUnit,
+        count: usize,
+        seed: u64,
+    ) -> Result<Self, DeliveryError> {
+        let sampler = Sampler::new(stream, unit)?;
+        let draw = |index| {
+            let mut rng = random(seed, Purpose::Test, 0, index);
+            // Every third world of the combined variant is of a link with a deadline.
+            let link = ranges.link(Variant::Combined, 3 * index + 2, &mut rng);
+            sampler.state(&link.delivered(&sampler.bytes, &mut rng))
         };
         Ok(Self { states: (0..count).map(draw).collect() })
     }
@@ -117,6 +151,16 @@ impl Sampler {
     /// Packets or groups.
     pub(super) fn units(&self) -> usize {
         self.bytes.len()
+    }
+
+    /// Completion groups, each with its number in the order in which their first symbols are sent.
+    fn groups(&self) -> BTreeMap<Group, usize> {
+        let mut numbers = BTreeMap::new();
+        for placement in (0..self.unit_of.len()).flat_map(|id| self.map.placements(id)) {
+            let next = numbers.len();
+            numbers.entry(placement.group).or_insert(next);
+        }
+        numbers
     }
 
     /// The state in which everything has arrived.
@@ -220,6 +264,55 @@ mod tests {
         assert_eq!(packets.state(&vec![false; packets.units()]), map.initial());
         assert_eq!(packets.prefix(3), packets.complete());
         assert!(share_arrived(&packets.prefix(0)) < share_arrived(&packets.prefix(1)));
+    }
+
+    /// A group is there with all its blocks or with none, which a packet that holds parts of several is not.
+    #[test]
+    fn completion_groups_are_lost_as_wholes() {
+        let stream = stream("dgs1");
+        let map = PacketMap::of(&stream).unwrap();
+        let in_parts = |unit| {
+            let loss = LossModel::Iid { probability: 0.3 };
+            let masks = Masks::draw(&stream, loss, unit, 4, 3).unwrap();
+            let mut seen: BTreeMap<(usize, Group), [usize; 2]> = BTreeMap::new();
+            for (index, state) in masks.states.iter().enumerate() {
+                for placement in (0..stream.packets().len()).flat_map(|id| map.placements(id)) {
+                    for &mask in &state[placement.first_block..][..placement.blocks] {
+                        let has = usize::from(Arrived(mask).has(placement.group.level));
+                        seen.entry((index, placement.group)).or_default()[has] += 1;
+                    }
+                }
+            }
+            assert!(seen.values().any(|&[lost, there]| lost > 0 && there == 0), "some are lost");
+            assert!(seen.values().any(|&[lost, there]| lost == 0 && there > 0), "some are there");
+            seen.values().filter(|[lost, there]| *lost > 0 && *there > 0).count()
+        };
+        assert_eq!(in_parts(LossUnit::Group), 0);
+        assert!(in_parts(LossUnit::Packet) > 0, "or this test says nothing");
+    }
+
+    /// A link of half the stream until its deadline brings half, less what is lost; a fast one everything.
+    #[test]
+    fn links_cut_off_what_comes_after_the_deadline() {
+        let stream = stream("dgs1");
+        let complete = Sampler::new(&stream, LossUnit::Packet).unwrap().complete().to_vec();
+        let draw = |capacity: f64, lost: f64| {
+            let ranges = ChannelRanges {
+                capacity: [capacity; 2],
+                round_trip_s: [0.0; 2],
+                deadline_s: [1.0; 2],
+                iid: [lost; 2],
+                burst_share: [lost; 2],
+                burst_length: [3.0; 2],
+            };
+            Masks::draw_links(&stream, &ranges, LossUnit::Packet, 6, 1).unwrap()
+        };
+        assert!(draw(4.0, 0.0).states.iter().all(|state| *state == complete));
+        let half = draw(0.5, 0.0);
+        assert!(half.states.iter().all(|state| *state == half.states[0] && *state != complete));
+        assert_eq!(draw(0.5, 0.2), draw(0.5, 0.2));
+        let share = |masks: &Masks| masks.states.iter().map(|state| share_arrived(state)).sum::<f64>();
+        assert!(share(&draw(0.5, 0.2)) < share(&half) && share(&draw(0.2, 0.0)) < share(&half));
     }
 
     #[test]

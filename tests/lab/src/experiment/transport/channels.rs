@@ -26,7 +26,8 @@ const FILES: [(&str, &str); 12] = [
     ("oboe", "broadband_merina/oboe/oboe_trace_24.txt"),
     ("puffer", "broadband_merina/puffer/traceqlR-8J7X0pokdh-1du6gTz2WWgygH2P4X-SuTVinEVA=_3"),
 ];
-/// The same of recordings that nothing was chosen on: no setting of a scheduler, a controller or a receiver.
+/// The same of recordings that are held out: no constant of a scheduler, a controller or a receiver was
+/// chosen on them. One choice was made on four of them: to scale gains of bases to what they gain at once.
 const HELD_OUT: [(&str, &str); 12] = [
     ("ucc5g", "ucc5g/driving/B_2020.02.27_20.35.57.csv"),
     ("ucc5g", "ucc5g/static/B_2020.02.14_13.21.26.csv"),
@@ -66,7 +67,7 @@ pub(super) fn all(setup: &Setup, bench: &mut Bench) -> Result<Vec<Channel>> {
     Ok(channels)
 }
 
-/// Measured traces that nothing was chosen on, as far as they are here; without any, made ones.
+/// Measured traces that are held out ([`HELD_OUT`]), as far as they are here; without any, made ones.
 ///
 /// # Errors
 /// A trace that cannot be read.

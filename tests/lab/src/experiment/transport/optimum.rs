@@ -3,7 +3,7 @@
 use anyhow::Result;
 use emulator_host::{
     GraphReceiver, PacketGraph, PolicyKind, Rate, Report, SessionConfig,
-    bound::upper_bound,
+    bound::{UpperBound, upper_bound},
     graph::{ClosureRule, Synthetic},
     policy::{DeadlineUtility, DeadlineUtilityConfig, Scheduler},
 };
@@ -25,10 +25,12 @@ const PEERS: [&str; 4] = ["layered", "dash", "dependency", "deadline-utility-pap
 /// the same for all, is most of the distance.
 pub(super) const LIVE: f64 = 0.9;
 
-/// A run's utility, level-0 misses, and forecast.
+/// A run's utility, its bound by the bytes that arrived, level-0 misses, and forecast.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Shown {
     utility: f64,
+    /// NaN where it is not computed.
+    arrived_bound: f64,
     base_miss: f64,
     waste: f64,
     brier: f64,
@@ -37,10 +39,11 @@ pub(super) struct Shown {
 }
 
 impl Shown {
-    fn of(report: &Report) -> Self {
+    fn of(report: &Report, arrived_bound: f64) -> Self {
         let forecast = report.forecast.clone().unwrap_or_default();
         Self {
             utility: report.utility,
+            arrived_bound,
             base_miss: report.base_miss_rate,
             waste: report.waste.total_bytes() as f64 / report.media_bytes.max(1) as f64,
             brier: forecast.brier,
@@ -91,11 +94,17 @@ pub(super) fn protocol(setup: &Setup) -> String {
          drop-tail queue of 500 ms, loss in bursts of three, playout at one time for everyone (1 s, or when \
          the mean rate has carried manifest and first base with \
          a fifth to spare), dead windows left out; bound: linear \
-         programme over the same link, {steps} steps; share: of the distance from layered to the bound, \
-         ratio of means; intervals by trace, then window; settings were chosen over windows that begin \
-         between these, with other losses"
+         programme over the same link, {steps} steps; arrived_bound: the same over the bytes that the run's \
+         receiver got, in any order, {} steps; share: of the distance from layered to the bound, ratio of \
+         means, and what of it is lost because less arrived than the link could carry (delivery) and by \
+         the order of what arrived; intervals by trace, then window; settings were chosen over windows that \
+         begin between these, with other losses",
+        steps / ARRIVED_PART
     )
 }
+
+/// Bounds by what arrived take this part of the steps: there is one per scheduler.
+pub(super) const ARRIVED_PART: u32 = 3;
 
 /// Schedulers by name: the five, and the default without one of its parts.
 fn schedulers() -> Vec<(String, Option<PolicyKind>, DeadlineUtilityConfig)> {
@@ -120,13 +129,13 @@ fn deliver(
     session: &SessionConfig,
     kind: Option<PolicyKind>,
     config: DeadlineUtilityConfig,
-) -> Result<Shown> {
+) -> Result<Report> {
     let mut scheduler: Box<dyn Scheduler> = match kind {
         Some(kind) => kind.build(graph),
         None => Box::new(DeadlineUtility::new(graph, config)),
     };
     let mut receiver = GraphReceiver::new(graph, session.buffer_limit);
-    Ok(Shown::of(&emulator_host::run(graph, session, &mut *scheduler, &mut receiver)?))
+    Ok(emulator_host::run(graph, session, &mut *scheduler, &mut receiver)?)
 }
 
 /// Adds the rows. The last value of every window is the bound.
@@ -152,7 +161,13 @@ pub(super) fn run(bench: &mut Bench, setup: &Setup, channels: &[Channel]) -> Res
                 }
                 let mut runs = Vec::new();
                 for (_, kind, config) in &schedulers {
-                    runs.push(deliver(&graph, &session, *kind, *config)?);
+                    let report = deliver(&graph, &session, *kind, *config)?;
+                    // The default without one of its parts is compared by utility alone.
+                    let arrived = match kind {
+                        Some(_) => arrived_bound(&graph, &report, steps, bound),
+                        None => f64::NAN,
+                    };
+                    runs.push(Shown::of(&report, arrived));
                 }
                 runs.push(Shown { utility: bound, ..Shown::default() });
                 Ok(Some(Window { family: channel.family, trace: *trace, runs }))
@@ -163,6 +178,12 @@ pub(super) fn run(bench: &mut Bench, setup: &Setup, channels: &[Channel]) -> Res
         push_rows(bench, workload.name, &names, &results);
     }
     Ok(())
+}
+
+/// The most utility that the bytes that arrived in the run of `report` show in any order. No more than
+/// `bound`, that of the link, which they came over: either solver may stop early.
+pub(super) fn arrived_bound(graph: &PacketGraph, report: &Report, steps: u32, bound: f64) -> f64 {
+    UpperBound::of_arrivals(graph, report, steps / ARRIVED_PART).utility.min(bound)
 }
 
 /// One row per figure and scheduler.
@@ -180,8 +201,25 @@ fn push_rows(bench: &mut Bench, workload: &str, names: &[&str], windows: &[Windo
     for (at, name) in names.iter().enumerate() {
         push(format!("{name}.utility"), mean(&|window| window.runs[at].utility), "");
         push(format!("{name}.base_miss"), mean(&|window| 100.0 * window.runs[at].base_miss), "%");
+        let has_arrived_bound = windows.iter().all(|window| window.runs[at].arrived_bound.is_finite());
+        if has_arrived_bound {
+            let words = "utility, at most, of the bytes that arrived";
+            push(format!("{name}.arrived_bound"), mean(&|window| window.runs[at].arrived_bound), words);
+        }
         if at == layered {
             continue;
+        }
+        if has_arrived_bound {
+            let part = |lost: &dyn Fn(&Window<Shown>) -> f64| {
+                clustered(windows, &|all| {
+                    let gap = average(all, &|w| w.runs[bound].utility - w.runs[layered].utility);
+                    100.0 * average(all, lost) / gap
+                })
+            };
+            let undelivered = part(&|w| w.runs[bound].utility - w.runs[at].arrived_bound);
+            push(format!("{name}.lost_to_delivery"), undelivered, "% of the distance");
+            let misordered = part(&|w| w.runs[at].arrived_bound - w.runs[at].utility);
+            push(format!("{name}.lost_to_order"), misordered, "% of the distance, at most");
         }
         let share = clustered(windows, &|all| {
             let gap = |of: usize| average(all, &|w| w.runs[of].utility - w.runs[layered].utility);
@@ -222,4 +260,34 @@ fn push_rows(bench: &mut Bench, workload: &str, names: &[&str], windows: &[Windo
 
 fn average<T>(windows: &[&Window<T>], of: &dyn Fn(&Window<T>) -> f64) -> f64 {
     windows.iter().map(|window| of(window)).sum::<f64>() / windows.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is lost to delivery and to order is what is left of the share, and only where it was computed.
+    #[test]
+    fn the_distance_is_divided_among_delivery_and_order() {
+        let names =
+            ["dash", "deadline-utility", "deadline-utility-paper", "dependency", "layered", "without"];
+        let windows = [0, 1].map(|trace| {
+            let shown = |utility, arrived_bound| Shown { utility, arrived_bound, ..Shown::default() };
+            let mut runs = vec![shown(0.7, 0.8); 4];
+            runs.extend([shown(0.5, 0.6), shown(0.65, f64::NAN), shown(0.9, 0.0)]);
+            Window { family: "made", trace, runs }
+        });
+        let mut bench = Bench::new("t", "");
+        push_rows(&mut bench, "w", &names, &windows);
+        let value = |key: &str| {
+            let figure = bench.figures.iter().find(|figure| figure.key == format!("bound.w.{key}"));
+            figure.map(|figure| (figure.value * 1e6).round() / 1e6)
+        };
+        assert_eq!(value("dash.share"), Some(50.0));
+        assert_eq!(value("dash.lost_to_delivery"), Some(25.0));
+        assert_eq!(value("dash.lost_to_order"), Some(25.0));
+        assert_eq!(value("layered.arrived_bound"), Some(0.6));
+        assert_eq!((value("layered.share"), value("without.arrived_bound")), (None, None));
+        assert_eq!(value("without.share"), Some(37.5));
+    }
 }

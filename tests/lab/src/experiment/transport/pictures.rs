@@ -22,7 +22,8 @@ use trainer_host::{
 use super::{
     ablations,
     channels::{Channel, MIN_BOUND, start},
-    optimum::LIVE,
+    limits::{Limited, Limits, OURS, POLICIES, push_limits},
+    optimum::{ARRIVED_PART, arrived_bound},
     paired::{Window, clustered, families, rank_correlation},
     schedulers,
     watched::{self, Frames, Seen},
@@ -32,10 +33,8 @@ use crate::{
     setup::{Setup, codec_args, load, spread, synth},
 };
 
-/// The schedulers, and where two of them stand.
-const POLICIES: [PolicyKind; 5] = PolicyKind::ALL;
-const LAYERED: usize = 4;
-const OURS: usize = 1;
+/// Steps of the solver of the bound.
+const STEPS: u32 = 1500;
 /// Side of the pictures, pixels.
 const SIDE: u32 = 96;
 
@@ -67,7 +66,9 @@ pub(super) fn protocol(setup: &Setup) -> String {
          does not have; playout never waits once it has begun, so that what is missing shows as a freeze: \
          frames in a row, two at least and for 150 ms, of whose base less than half is there; rank \
          correlation over all runs of utility with -D; ideal transport: the same plan where the link is \
-         always filled, nothing is lost and its rate is known"
+         always filled, nothing is lost and its rate is known; arrived_bound: the bound over the bytes that \
+         the run's receiver got, in any order ({} of {STEPS} steps)",
+        STEPS / ARRIVED_PART
     )
 }
 
@@ -125,8 +126,13 @@ impl Study {
     /// What every scheduler shows over `link`.
     fn compare_over(&self, link: &LiveLink) -> Result<Limited> {
         let session = &link.session;
-        let runs: Result<Vec<Seen>> = POLICIES.iter().map(|policy| self.see(session, *policy)).collect();
-        Ok((link.window(runs?), Limits { bound: link.bound, ideal: self.see_ideal(session)? }))
+        let (mut runs, mut arrived) = (Vec::new(), Vec::new());
+        for policy in POLICIES {
+            let (seen, report) = self.see(session, policy)?;
+            runs.push(seen);
+            arrived.push(arrived_bound(&self.graph, &report, STEPS, link.bound));
+        }
+        Ok((link.window(runs), Limits { bound: link.bound, arrived, ideal: self.see_ideal(session)? }))
     }
 
     /// `run` over the link of every window that is not dead.
@@ -146,7 +152,7 @@ impl Study {
                 let Some(session) = channel.session(&self.graph, (window, windows), seed, 0.01)? else {
                     return Ok(None);
                 };
-                let bound = upper_bound(&self.graph, &session.forward, start(&self.graph), 1500).utility;
+                let bound = upper_bound(&self.graph, &session.forward, start(&self.graph), STEPS).utility;
                 if bound < MIN_BOUND {
                     return Ok(None);
                 }
@@ -157,10 +163,10 @@ impl Study {
     }
 
     /// Delivers over one link and renders what was shown.
-    fn see(&self, session: &SessionConfig, policy: PolicyKind) -> Result<Seen> {
+    fn see(&self, session: &SessionConfig, policy: PolicyKind) -> Result<(Seen, Report)> {
         let (report, states) =
             pipeline::deliver(&self.stream, &self.map, &self.graph, session, policy, TransportName::Model)?;
-        self.rendered(&report, &states)
+        Ok((self.rendered(&report, &states)?, report))
     }
 
     /// The same of our plan over a transport that fills the link and loses nothing.
@@ -204,17 +210,6 @@ impl LiveLink {
         Window { family: self.family, trace: self.trace, runs }
     }
 }
-
-/// What limits one window: the most that any schedule shows, and what our plan shows over a transport that
-/// fills the link and loses nothing.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Limits {
-    bound: f64,
-    ideal: Seen,
-}
-
-/// A window and what limits it.
-pub(super) type Limited = (Window<Seen>, Limits);
 
 fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, scene: &Scene) -> Result<()> {
     let Size { windows, pictures, .. } = size(setup);
@@ -282,6 +277,14 @@ fn push_rows(bench: &mut Bench, prefix: &str, windows: &[Window<Seen>]) {
         push(format!("deadline-utility.less_{name}.worst_tenth"), mean(&worst), "dB, paired");
         let similar = |w: &Window<Seen>| w.runs[OURS].ssim - w.runs[at].ssim;
         push(format!("deadline-utility.less_{name}.ssim"), mean(&similar), "paired");
+        let flicker = |w: &Window<Seen>| 1000.0 * (w.runs[OURS].flicker - w.runs[at].flicker);
+        push(format!("deadline-utility.less_{name}.flicker"), mean(&flicker), "x 10^-3, paired");
+        if windows.iter().any(|window| window.runs[at].lpips.is_finite()) {
+            let distance = |w: &Window<Seen>| w.runs[OURS].lpips - w.runs[at].lpips;
+            push(format!("deadline-utility.less_{name}.lpips"), mean(&distance), "paired");
+        }
+        let freezes = |w: &Window<Seen>| w.runs[OURS].freezes - w.runs[at].freezes;
+        push(format!("deadline-utility.less_{name}.freezes"), mean(&freezes), "per minute, paired");
         let frozen = |w: &Window<Seen>| 100.0 * (w.runs[OURS].frozen - w.runs[at].frozen);
         push(format!("deadline-utility.less_{name}.frozen"), mean(&frozen), "% of frames, paired");
         let missed = |w: &Window<Seen>| 100.0 * (w.runs[OURS].base_miss - w.runs[at].base_miss);
@@ -312,86 +315,28 @@ fn push_families(bench: &mut Bench, windows: &[Window<Seen>], key: &str, (at, na
     }
 }
 
-/// From the bound down to `layered`: where the distance goes.
-fn push_limits(bench: &mut Bench, prefix: &str, windows: &[Limited]) {
-    let utilities = |(window, limits): &Limited| Window {
-        family: window.family,
-        trace: window.trace,
-        runs: vec![
-            limits.bound,
-            limits.ideal.utility,
-            window.runs[OURS].utility,
-            window.runs[LAYERED].utility,
-        ],
-    };
-    let all: Vec<Window<f64>> = windows.iter().map(utilities).collect();
-    let live: Vec<Window<f64>> =
-        windows.iter().filter(|(_, limits)| limits.bound >= LIVE).map(utilities).collect();
-    let mut push = |key: &str, (value, ci): (f64, [f64; 2]), unit: &str, of: usize| {
-        let mut figure = Figure::new(format!("{prefix}.{key}"), value, unit).runs(of);
-        figure.ci95 = Some(ci);
-        bench.push(figure);
-    };
-    let of_all = |statistic: &dyn Fn(&Steps) -> f64| clustered(&all, &|drawn| statistic(&Steps::of(drawn)));
-    push("bound.utility", of_all(&|steps| steps.bound), "at most", all.len());
-    push("bound.distance", of_all(&Steps::distance), "from layered", all.len());
-    push(
-        "deadline-utility.ideal_transport.utility",
-        of_all(&|steps| steps.ideal),
-        "link filled, nothing lost, its rate known",
-        all.len(),
-    );
-    let part = "% of the distance";
-    let to_plan = of_all(&|steps| 100.0 * (steps.bound - steps.ideal) / steps.distance());
-    push("deadline-utility.lost_to_plan", to_plan, "% of the distance, at most", all.len());
-    let to_transport = of_all(&|steps| 100.0 * (steps.ideal - steps.ours) / steps.distance());
-    push("deadline-utility.lost_to_transport", to_transport, part, all.len());
-    let of_live = clustered(&live, &|drawn| Steps::of(drawn).share());
-    let words = format!("{part}, in windows whose bound is above {LIVE}");
-    push("deadline-utility.share_live", of_live, &words, live.len());
-    push("deadline-utility.share", of_all(&Steps::share), part, all.len());
-    // D has no bound; what is known to be reachable over the same link without losses stands in for it.
-    let distortions: Vec<Window<f64>> = windows
-        .iter()
-        .map(|(window, limits)| {
-            let shown = [limits.ideal, window.runs[OURS], window.runs[LAYERED]].map(|seen| seen.distortion);
-            Window { family: window.family, trace: window.trace, runs: shown.to_vec() }
-        })
-        .collect();
-    let mean = |drawn: &[&Window<f64>], at: usize| {
-        drawn.iter().map(|window| window.runs[at]).sum::<f64>() / drawn.len() as f64
-    };
-    let ideal = clustered(&distortions, &|drawn| 1000.0 * mean(drawn, 0));
-    push("deadline-utility.ideal_transport.distortion", ideal, "x 10^-3", all.len());
-    let share = clustered(&distortions, &|drawn| {
-        let [ideal, ours, layered] = [0, 1, 2].map(|at| mean(drawn, at));
-        100.0 * (layered - ours) / (layered - ideal)
-    });
-    let words = "% of the distance in D from layered to our plan where nothing is lost";
-    push("deadline-utility.distortion_share", share, words, all.len());
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// Mean utilities from the bound downwards.
-struct Steps {
-    bound: f64,
-    ideal: f64,
-    ours: f64,
-    layered: f64,
-}
-
-impl Steps {
-    /// Of windows with these four, in this order.
-    fn of(windows: &[&Window<f64>]) -> Self {
-        let mean =
-            |at: usize| windows.iter().map(|window| window.runs[at]).sum::<f64>() / windows.len() as f64;
-        Self { bound: mean(0), ideal: mean(1), ours: mean(2), layered: mean(3) }
-    }
-
-    fn distance(&self) -> f64 {
-        self.bound - self.layered
-    }
-
-    fn share(&self) -> f64 {
-        100.0 * (self.ours - self.layered) / self.distance()
+    #[test]
+    fn the_default_is_paired_with_each_other_policy() {
+        let seen = |flicker: f64, freezes: f64| Seen { flicker, freezes, ..Seen::of_utility(0.5) };
+        let windows = [0, 1].map(|trace| {
+            let mut runs = vec![seen(2e-3, 3.0); POLICIES.len()];
+            runs[OURS] = seen(1e-3, 1.0 + trace as f64);
+            Window { family: "made", trace, runs }
+        });
+        let mut bench = Bench::new("t", "");
+        push_rows(&mut bench, "p", &windows);
+        for (at, policy) in POLICIES.iter().enumerate().filter(|(at, _)| *at != OURS) {
+            let key = |what: &str| format!("p.deadline-utility.less_{}.{what}", policy.name());
+            let figure = |what: &str| bench.figures.iter().find(|figure| figure.key == key(what));
+            let (flicker, freezes) = (figure("flicker").unwrap(), figure("freezes").unwrap());
+            assert!((flicker.value + 1.0).abs() < 1e-9 && flicker.ci95.is_some(), "{at}: {flicker:?}");
+            assert!((freezes.value + 1.5).abs() < 1e-9, "{at}: {freezes:?}");
+            assert_eq!(freezes.ci95, Some([-2.0, -1.0]));
+            assert!(figure("lpips").is_none(), "no weights, no row");
+        }
     }
 }

@@ -5,7 +5,7 @@ use dgs::{
     args::{ControllerName, LinkArgs, ProfileName},
     pipeline,
 };
-use emulator_host::PolicyKind;
+use emulator_host::{PolicyKind, Report};
 use rayon::prelude::*;
 use trainer_host::{
     Scene,
@@ -15,8 +15,9 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
+use super::paired::{Window, clustered};
 use crate::{
-    figures::{Bench, Figure, bootstrap95, mean},
+    figures::{Bench, Figure},
     setup::{Setup, codec_args, link_args, load, synth},
 };
 
@@ -29,8 +30,10 @@ pub(super) fn protocol(setup: &Setup) -> String {
         "rows of ucc5g and mahimahi: the real encoded stream of fox ({samples} Gaussians) through the real \
          receiver, {windows} windows per trace (starts spread over it), the same windows, losses and seeds \
          for every scheduler; the traces at their own capacity, 2 % loss in bursts, base sets of 16 + 4; \
-         capacity scaled so that the stream is 1.6 times what the clip's time carries on average where it \
-         says `scaled`"
+         capacity scaled so that the stream is {} times what the clip's time carries on average where it \
+         says `scaled`; positive_miss: of groups of positive utility; less_layered: paired; rows of \
+         every_trace: both traces; intervals by trace, then window",
+        LinkArgs::LOAD
     )
 }
 
@@ -60,7 +63,9 @@ pub(super) fn run(bench: &mut Bench, setup: &Setup) -> Result<()> {
     let table = utilities(&scene, &stream, &map, setup)?;
     let graph = pipeline::graph(&stream, &map, Some(&table))?;
     let clip_s = f64::from(graph.frames()) * graph.frame_interval().as_s();
-    for (trace_name, path) in traces {
+    // Windows of every controller and load over all traces, beside those of each trace.
+    let mut together: Vec<(String, Vec<Window<Delivered>>)> = Vec::new();
+    for (number, (trace_name, path)) in traces.into_iter().enumerate() {
         let path = setup.data(path, bench)?;
         if path.is_none() && trace_name == "mahimahi" {
             continue;
@@ -83,57 +88,123 @@ pub(super) fn run(bench: &mut Bench, setup: &Setup) -> Result<()> {
                 let period = trace.period().as_s();
                 let jobs: Vec<(usize, PolicyKind)> =
                     (0..windows).flat_map(|w| POLICIES.map(|p| (w, p))).collect();
-                let results: Result<Vec<_>> = jobs
+                let results: Result<Vec<Delivered>> = jobs
                     .par_iter()
                     .map(|&(w, policy)| {
                         let mut args = args.clone();
                         args.trace_offset = period * w as f64 / windows as f64;
                         args.link_seed = 1 + w as u64;
                         let link = pipeline::link(&args, &graph)?;
-                        Ok((
-                            policy,
-                            pipeline::deliver(&stream, &map, &graph, &link.config, policy, args.transport)?.0,
-                        ))
+                        let report =
+                            pipeline::deliver(&stream, &map, &graph, &link.config, policy, args.transport)?.0;
+                        Ok(Delivered::of(&report))
                     })
                     .collect();
                 let results = results?;
+                let of_windows = results.chunks(POLICIES.len()).map(|runs| Window {
+                    family: trace_name,
+                    trace: number,
+                    runs: runs.to_vec(),
+                });
+                let of_windows: Vec<Window<Delivered>> = of_windows.collect();
                 let controller = whole.config.controller.name();
                 let load = if scaled { ".scaled" } else { "" };
-                let miss_of = |policy: PolicyKind| -> Vec<f64> {
-                    results.iter().filter(|r| r.0 == policy).map(|r| 100.0 * r.1.miss_rate).collect()
-                };
-                let layered = miss_of(PolicyKind::Layered);
-                for policy in POLICIES {
-                    let reports: Vec<_> = results.iter().filter(|r| r.0 == policy).map(|r| &r.1).collect();
-                    let column = |f: &dyn Fn(&emulator_host::Report) -> f64| -> Vec<f64> {
-                        reports.iter().map(|r| f(r)).collect()
-                    };
-                    let key = |what: &str| format!("{label}{load}.{controller}.{}.{what}", policy.name());
-                    let started: Vec<f64> = reports.iter().filter_map(|r| r.startup_ms).collect();
-                    let failed = reports.iter().filter(|r| !r.startup_reached).count();
-                    bench.push(Figure::new(key("startup"), mean(&started), "ms").runs(started.len()));
-                    if failed > 0 {
-                        bench.push(Figure::new(key("startup_not_reached"), failed as f64, "windows"));
-                    }
-                    let miss = miss_of(policy);
-                    let mut figure = Figure::new(key("miss"), mean(&miss), "%").runs(miss.len());
-                    figure.ci95 = bootstrap95(&miss, mean, 11);
-                    bench.push(figure);
-                    if policy != PolicyKind::Layered {
-                        let paired: Vec<f64> = miss.iter().zip(&layered).map(|(a, b)| a - b).collect();
-                        let mut figure =
-                            Figure::new(key("miss_less_layered"), mean(&paired), "points, paired");
-                        figure.ci95 = bootstrap95(&paired, mean, 13);
-                        bench.push(figure);
-                    }
-                    bench.push(Figure::new(key("utility"), mean(&column(&|r| r.utility)), ""));
-                    let waste = column(&|r| r.waste.total_bytes() as f64 / 1048576.0);
-                    bench.push(Figure::new(key("waste"), mean(&waste), "MiB"));
+                push_rows(bench, &format!("{label}{load}.{controller}"), &of_windows);
+                let key = format!("every_trace{load}.{controller}");
+                match together.iter_mut().find(|(known, _)| *known == key) {
+                    Some((_, windows)) => windows.extend(of_windows),
+                    None => together.push((key, of_windows)),
                 }
             }
         }
     }
+    let has_traces = |windows: &[Window<Delivered>]| windows.iter().any(|w| w.trace != windows[0].trace);
+    for (key, windows) in together.iter().filter(|(_, windows)| has_traces(windows)) {
+        push_rows(bench, key, windows);
+    }
     Ok(())
+}
+
+/// What one run delivered.
+#[derive(Clone, Copy, Debug)]
+struct Delivered {
+    /// NaN if playout never began.
+    startup_ms: f64,
+    startup_reached: bool,
+    miss: f64,
+    /// Of groups of positive utility.
+    positive_miss: f64,
+    utility: f64,
+    waste_bytes: u64,
+}
+
+impl Delivered {
+    fn of(report: &Report) -> Self {
+        Self {
+            startup_ms: report.startup_ms.unwrap_or(f64::NAN),
+            startup_reached: report.startup_reached,
+            miss: report.miss_rate,
+            positive_miss: report.positive_miss_rate,
+            utility: report.utility,
+            waste_bytes: report.waste.total_bytes(),
+        }
+    }
+}
+
+/// Name, value of a run, unit.
+type Column = (&'static str, fn(&Delivered) -> f64, &'static str);
+
+const COLUMNS: [Column; 5] = [
+    ("startup", |run| run.startup_ms, "ms"),
+    ("miss", |run| 100.0 * run.miss, "%"),
+    ("positive_miss", |run| 100.0 * run.positive_miss, "%"),
+    ("utility", |run| run.utility, ""),
+    ("waste", |run| run.waste_bytes as f64 / 1_048_576.0, "MiB"),
+];
+
+/// Adds what each scheduler delivered in `windows`, and what it did less `layered` there.
+fn push_rows(bench: &mut Bench, key: &str, windows: &[Window<Delivered>]) {
+    let layered = POLICIES.iter().position(|policy| *policy == PolicyKind::Layered).unwrap_or(0);
+    for (at, policy) in POLICIES.iter().enumerate() {
+        let name = policy.name();
+        let failed = windows.iter().filter(|window| !window.runs[at].startup_reached).count();
+        if failed > 0 {
+            let key = format!("{key}.{name}.startup_not_reached");
+            bench.push(Figure::new(key, failed as f64, "windows"));
+        }
+        for (column, of, unit) in COLUMNS {
+            push_mean(bench, (format!("{key}.{name}.{column}"), unit), windows, &|window| {
+                of(&window.runs[at])
+            });
+            if at == layered {
+                continue;
+            }
+            let unit = match unit {
+                "" => "paired".to_owned(),
+                "%" => "points, paired".to_owned(),
+                _ => format!("{unit}, paired"),
+            };
+            let less = |window: &Window<Delivered>| of(&window.runs[at]) - of(&window.runs[layered]);
+            push_mean(bench, (format!("{key}.{name}.{column}_less_layered"), unit.as_str()), windows, &less);
+        }
+    }
+}
+
+/// Adds the mean of `value` over those windows that have one, its interval by trace, then window.
+fn push_mean(
+    bench: &mut Bench,
+    (key, unit): (String, &str),
+    windows: &[Window<Delivered>],
+    value: &dyn Fn(&Window<Delivered>) -> f64,
+) {
+    let own: Vec<Window<Delivered>> =
+        windows.iter().filter(|window| value(window).is_finite()).cloned().collect();
+    let (mean, ci) =
+        clustered(&own, &|drawn| drawn.iter().map(|window| value(window)).sum::<f64>() / drawn.len() as f64);
+    let mut figure = Figure::new(key, mean, unit).runs(own.len());
+    // A single window says nothing of others.
+    figure.ci95 = (own.len() > 1).then_some(ci);
+    bench.push(figure);
 }
 
 /// Utilities of the groups of `stream`, from random states.
@@ -153,4 +224,46 @@ pub(super) fn utilities(
     let references = utility::References::renders(scene, &cameras, &gain_cameras);
     let received = stream.receive()?;
     pipeline::utilities(&references, &received.content(), map, &options, None, setup.quiet, &mut |_| ())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_column_is_paired_with_layered_by_trace() {
+        let windows = [0, 0, 1, 1].map(|trace| {
+            let own = Delivered {
+                startup_ms: 100.0,
+                startup_reached: true,
+                miss: 0.5,
+                positive_miss: 0.4,
+                utility: 0.6,
+                waste_bytes: 1 << 20,
+            };
+            let mut runs = vec![own; POLICIES.len()];
+            // Layered, the last, differs from the others by trace; once playout never begins.
+            runs[4].positive_miss = 0.5 + 0.1 * trace as f64;
+            runs[4].utility = 0.5;
+            runs[4].startup_ms = if trace == 0 { 80.0 } else { f64::NAN };
+            Window { family: "made", trace, runs }
+        });
+        let mut bench = Bench::new("t", "");
+        push_rows(&mut bench, "t", &windows);
+        let figure = |key: &str| {
+            let key = format!("t.{key}");
+            bench.figures.iter().find(|figure| figure.key == key).unwrap_or_else(|| panic!("{key}"))
+        };
+        let positive = figure("dash.positive_miss_less_layered");
+        assert!((positive.value + 15.0).abs() < 1e-9 && positive.unit == "points, paired", "{positive:?}");
+        // Two traces, each drawn or not: the interval reaches from one's difference to the other's.
+        let [low, high] = positive.ci95.unwrap();
+        assert!((low + 20.0).abs() < 1e-9 && (high + 10.0).abs() < 1e-9, "{positive:?}");
+        let utility = figure("dash.utility_less_layered");
+        assert!((utility.value - 0.1).abs() < 1e-9 && utility.ci95.is_some(), "{utility:?}");
+        let startup = figure("dash.startup_less_layered");
+        assert_eq!((startup.value, startup.runs), (20.0, Some(2)));
+        assert_eq!(figure("dash.waste_less_layered").value, 0.0);
+        assert!(bench.figures.iter().all(|figure| !figure.key.starts_with("t.layered.utility_less")));
+    }
 }

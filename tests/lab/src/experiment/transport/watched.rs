@@ -112,6 +112,25 @@ impl Seen {
 }
 
 #[cfg(test)]
+impl Seen {
+    /// A run with this utility, D the rest to 1, and without LPIPS.
+    pub(super) fn of_utility(utility: f64) -> Self {
+        Self {
+            utility,
+            base_miss: 0.0,
+            distortion: 1.0 - utility,
+            psnr_db: 30.0,
+            worst_tenth_db: 20.0,
+            ssim: utility,
+            flicker: 1e-3,
+            lpips: f64::NAN,
+            freezes: 1.0,
+            frozen: 0.1,
+        }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
 

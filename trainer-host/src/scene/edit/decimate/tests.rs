@@ -57,11 +57,25 @@ fn dropped(instant: &Instant, left: usize) -> Instant {
     }
 }
 
+fn thinner(scene: &Scene, share: f64) -> Result<Scene, EditError> {
+    decimate(scene, share, &mut |_| {})
+}
+
+#[test]
+fn progress_rises_from_round_to_round() {
+    let scene = figure();
+    let mut heard = Vec::new();
+    let few = decimate(&scene, 0.1, &mut |done| heard.push(done)).unwrap();
+    assert_eq!(few.max_count(), 300);
+    assert!(heard.len() > 3 && heard[0] == 0.0, "{heard:?}");
+    assert!(heard.is_sorted_by(|a, b| a < b) && heard[heard.len() - 1] < 1.0, "{heard:?}");
+}
+
 #[test]
 fn merging_beats_dropping_at_every_frame() {
     let scene = figure();
     for share in [0.5, 0.25, 0.1] {
-        let few = decimate(&scene, share).unwrap();
+        let few = thinner(&scene, share).unwrap();
         assert_eq!((few.max_count(), few.frames()), ((3000.0 * share) as usize, 6));
         for t in [0, 3, 5] {
             let merged = worst(&few.instant(t).unwrap(), &scene, t);
@@ -74,7 +88,7 @@ fn merging_beats_dropping_at_every_frame() {
 #[test]
 fn what_moves_keeps_what_does_not_change() {
     let scene = figure();
-    let few = decimate(&scene, 0.3).unwrap();
+    let few = thinner(&scene, 0.3).unwrap();
     let (a, b) = (scene.epochs()[0].attributes(), few.epochs()[0].attributes());
     assert_eq!(a.log_scales.is_constant(), b.log_scales.is_constant());
     assert_eq!(a.opacity_logits.is_constant(), b.opacity_logits.is_constant());
@@ -86,12 +100,12 @@ fn the_same_comes_of_it_on_any_number_of_threads() {
     let scene = figure();
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| decimate(&scene, 0.2).unwrap().instant(2).unwrap())
+        pool.install(|| thinner(&scene, 0.2).unwrap().instant(2).unwrap())
     };
     assert_eq!(on(1), on(5));
-    assert_eq!(decimate(&scene, 1.0).unwrap().instant(2), scene.instant(2), "all of them");
+    assert_eq!(thinner(&scene, 1.0).unwrap().instant(2), scene.instant(2), "all of them");
     for share in [0.0, -1.0, 1.1, f64::NAN] {
-        assert!(decimate(&scene, share).is_err(), "{share}");
+        assert!(thinner(&scene, share).is_err(), "{share}");
     }
 }
 
@@ -113,7 +127,7 @@ fn balls(positions: Vec<[f32; 3]>) -> Scene {
 #[test]
 fn two_become_one_of_the_same_moments_and_what_lies_apart_stays() {
     let scene = balls(vec![[0.0; 3], [0.2, 0.0, 0.0], [50.0, 0.0, 0.0]]);
-    let few = decimate(&scene, 0.67).unwrap().instant(0).unwrap().gaussians;
+    let few = thinner(&scene, 0.67).unwrap().instant(0).unwrap().gaussians;
     assert_eq!(few.len(), 2);
     assert_eq!(few[1], scene.instant(0).unwrap().gaussians[2]);
     let variance = (-2f64).exp();
@@ -135,14 +149,14 @@ fn what_lies_in_one_place_is_paired_in_few_rounds() {
     seen.sort_unstable();
     seen.dedup();
     assert_eq!(seen.len(), 2 * pairs.len(), "no group is in two pairs");
-    assert_eq!(decimate(&scene, 1e-9).unwrap().max_count(), 1);
+    assert_eq!(thinner(&scene, 1e-9).unwrap().max_count(), 1);
 }
 
 #[test]
 fn extremes_end_in_a_scene() {
     let far = [[f32::MAX; 3], [-f32::MAX; 3], [0.0; 3], [f32::MIN_POSITIVE; 3]];
     for share in [0.75, 0.5, 0.25] {
-        assert_eq!(decimate(&balls(far.to_vec()), share).unwrap().max_count(), (4.0 * share) as usize);
+        assert_eq!(thinner(&balls(far.to_vec()), share).unwrap().max_count(), (4.0 * share) as usize);
     }
 }
 
