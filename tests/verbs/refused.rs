@@ -10,7 +10,7 @@ fn an_ending_alone_is_no_name() {
     ok(at, &["encode", scene, "-o", "a.dgs", "--pictures", "0"]);
     for args in [
         vec!["convert", scene, ".ply"],
-        vec!["decode", "a.dgs", ".SPZ"],
+        vec!["decode", "a.dgs", "-o", ".SPZ"],
         vec!["render", scene, "-o", ".png"],
         vec!["render", "a.dgs", "-o", ".mp4"],
         vec!["compare", "a.dgs", scene, "-o", ".gif"],

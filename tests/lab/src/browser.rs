@@ -192,8 +192,8 @@ impl Browser {
         mouse("mouseReleased", last, 0).map(|_| ())
     }
 
-    /// Puts a finger on each place of the first entry of `path`, CSS pixels, moves them through the others, and
-    /// lifts them.
+    /// Puts a finger on each place of the first entry of `path`, CSS pixels, moves them through the others,
+    /// and lifts them.
     ///
     /// # Errors
     /// The browser does not answer.
@@ -207,8 +207,8 @@ impl Browser {
         self.order("Input.dispatchTouchEvent", json!({ "type": "touchEnd", "touchPoints": [] })).map(|_| ())
     }
 
-    /// Drags the file at `path` over the place `[x, y]` of the page, CSS pixels, and drops it there. A page that
-    /// has not said in time that it takes it gets no drop.
+    /// Drags the file at `path` over the place `[x, y]` of the page, CSS pixels, and drops it there. A page
+    /// that has not said in time that it takes it gets no drop.
     ///
     /// # Errors
     /// The browser does not answer.

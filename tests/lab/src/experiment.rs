@@ -182,8 +182,8 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "workloads",
-        about: "schedulers over streams of 0.7 s to 3 min and 0.008 to 5 Mbit/s, on recordings that no \
-            constant was chosen on (to scale gains was, on four of them)",
+        about: "schedulers over streams of 0.7 s to 3 min and 0.008 to 5 Mbit/s, on held-out \
+            recordings (four of them decided one choice, that gains are scaled)",
         run: transport::workloads::run,
     },
     Experiment {
@@ -203,8 +203,8 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "convert",
-        about: "a million Gaussians from PLY to other formats, and fewer Gaussians that look alike: time, size, \
-            memory, PSNR, beside splat-transform",
+        about: "a million Gaussians from PLY to other formats, and fewer Gaussians that look alike: time, \
+            size, memory, PSNR, beside splat-transform",
         run: convert::run,
     },
     Experiment {

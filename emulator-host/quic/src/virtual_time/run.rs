@@ -104,8 +104,8 @@ pub fn control_times(
     Ok(walk(graph, config, named, messages, (&mut *scheduler, &mut endpoint))?.1)
 }
 
-/// Runs `graph` under a legal `config` with this controller, by its name in reports; gives the report, and the
-/// times of control messages.
+/// Runs `graph` under a legal `config` with this controller, by its name in reports; gives the report, and
+/// the times of control messages.
 fn walk(
     graph: &PacketGraph,
     config: &SessionConfig,

@@ -173,16 +173,16 @@ fn clean_heavier(bench: &mut Bench, study: &Study, pairs: &[[FineTuned; 2]]) -> 
         let options = DeliveryOptions { weights, ..validated(study, Variant::Combined, seed) };
         heavier.push(study.train(&options)?);
     }
-    let usual = Weights::default().anchor;
+    let normal = Weights::default().anchor;
     bench.also(&format!(
-        "; clean_heavier.*: the same sheet and states, variant mixed with {CLEAN_HEAVIER} for {usual} as the \
-         weight of the complete state, beside mixed"
+        "; clean_heavier.*: the same sheet and states, variant mixed with {CLEAN_HEAVIER} for {normal} \
+         as the weight of the complete state, beside mixed"
     ));
     for (name, masks) in drawn(study, [independent(10.0), in_bursts(10.0)], LossUnit::Packet)? {
         let evaluate = |tuned: &FineTuned| study.evaluate(tuned, &masks);
         let ours = heavier.iter().map(evaluate).collect::<Result<Vec<_>>>()?;
-        let mixed = pairs.iter().map(|[mixed, _]| evaluate(mixed)).collect::<Result<Vec<_>>>()?;
-        push_levels(bench, &format!("clean_heavier.{name}"), ("mixed", &mixed), &ours);
+        let usual = pairs.iter().map(|[trained, _]| evaluate(trained)).collect::<Result<Vec<_>>>()?;
+        push_levels(bench, &format!("clean_heavier.{name}"), ("mixed", &usual), &ours);
     }
     Ok(())
 }
@@ -339,10 +339,10 @@ mod tests {
         let study = Study::make(size).unwrap();
         let by = |unit| drawn(&study, [independent(10.0)], unit).unwrap();
         assert_ne!(by(LossUnit::Group), by(LossUnit::Packet));
-        let mixed = study.train(&validated(&study, Variant::Combined, 1)).unwrap();
+        let trained = study.train(&validated(&study, Variant::Combined, 1)).unwrap();
         let complete = study.train(&validated(&study, Variant::Reconstruction, 1)).unwrap();
         let mut bench = Bench::new("erasure", "test");
-        let pairs = [[mixed, complete]];
+        let pairs = [[trained, complete]];
         groups(&mut bench, &study, &pairs, None).unwrap();
         clean_heavier(&mut bench, &study, &pairs).unwrap();
         for key in ["groups.iid5.psnr", "groups.iid10.worst10", "groups.iid10.flip"] {

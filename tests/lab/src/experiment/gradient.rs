@@ -243,7 +243,12 @@ fn frame(
             .runs(runs),
     );
     if let Some(difference) = exact.difference(&theirs.rgb).filter(|_| peer.is_some()) {
-        beside_peer(bench, &format!("{name}.opensplat"), [&forward, &with_mse], (&theirs, difference.psnr_db));
+        beside_peer(
+            bench,
+            &format!("{name}.opensplat"),
+            [&forward, &with_mse],
+            (&theirs, difference.psnr_db),
+        );
     }
     let losses: [(&str, &dyn Loss, &[f64]); 2] = [("mse", &mse, &with_mse), ("mse+ssim", &both, &with_both)];
     for (which, loss, times) in losses {

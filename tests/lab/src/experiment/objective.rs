@@ -214,9 +214,9 @@ mod tests {
         let study = Study::make(size).unwrap();
         let masks = study.link_masks(&narrow_links()).unwrap();
         let narrow = study.evaluate_given(&masks).unwrap();
-        let lost = study.evaluate_given(&study.masks(LossModel::Iid { probability: LOSS }).unwrap()).unwrap();
         assert_eq!(narrow.worlds_db.len(), 12);
-        assert!(narrow.mean_db() < lost.mean_db() - 1.0, "{} {}", narrow.mean_db(), lost.mean_db());
+        // Levels come in order, so that half of the bytes show more than half; a wide link would show all.
+        assert!(narrow.mean_db() < narrow.clean_db - 1.0, "{} {}", narrow.mean_db(), narrow.clean_db);
         assert!(narrow.worlds_db.windows(2).any(|pair| pair[0] != pair[1]), "losses differ");
     }
 }
