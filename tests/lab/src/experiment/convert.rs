@@ -14,7 +14,7 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
-use self::peer::{MIB, Taken, forget_peak, timed_peer};
+use self::peer::{MIB, Taken, forget_peak, timed_peer, timed_ply_to_spz};
 use super::demo::push_peak_memory;
 use crate::{
     figures::{Bench, Figure, Machine},
@@ -27,6 +27,8 @@ const FORMATS: [&str; 6] = ["ply", "compressed.ply", "spz", "splat", "sog", "glb
 const SIDE: u32 = 256;
 /// Names the peer's program where it is not on the path.
 const PEER: &str = "SPLAT_TRANSFORM";
+/// Names the program `ply_to_spz` of Niantic's spz.
+const NIANTIC: &str = "PLY_TO_SPZ";
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
@@ -38,7 +40,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
              written to a file in each format, wall time of both together, once; error: mean squared error \
              of a picture ({SIDE}x{SIDE}, black, one camera) of what is read back; the peer is \
              splat-transform on the processor (-g cpu), a process of its own each time, its start included; \
-             order of ours and the peer alternates; memory: largest resident set of the process meanwhile"
+             order of ours and the peer alternates; ply_to_spz.niantic: the program of Niantic's spz; memory: \
+             largest resident set of the process meanwhile"
         ),
     );
     let folder = std::env::temp_dir().join(format!("dgs-bench-convert-{}", std::process::id()));
@@ -104,7 +107,33 @@ fn measure(setup: &Setup, folder: &Path, count: usize, bench: &mut Bench) -> Res
             None => bench.skipped.push(format!("ply_to_{format}.memory_mib: this system does not tell")),
         }
     }
+    niantic(folder, &source, bench)?;
     decimate::measure(setup, folder, &source, has_peer.then_some(&*peer), bench)
+}
+
+/// Adds ours of `source` to SPZ, once more, beside Niantic's own program.
+fn niantic(folder: &Path, source: &Path, bench: &mut Bench) -> Result<()> {
+    let Ok(program) = std::env::var(NIANTIC) else {
+        bench.skipped.push(format!("Niantic's spz: {NIANTIC} names no program of it"));
+        return Ok(());
+    };
+    let (ours, theirs) = (folder.join("again.spz"), folder.join("niantic.spz"));
+    let taken =
+        timed_ply_to_spz(&program, source, &theirs).with_context(|| format!("{program} ({NIANTIC})"))?;
+    let start = Instant::now();
+    let scene = import(source, &ImportOptions::default())?;
+    fs::write(&ours, encoded("spz", &scene.epochs()[0])?)?;
+    let wall = Figure::new("ply_to_spz.niantic.wall_s", start.elapsed().as_secs_f64(), "s").runs(1);
+    bench.push(wall.peer("ply_to_spz", taken.seconds, true));
+    let size = |path: &Path| fs::metadata(path).map(|found| found.len() as f64);
+    let bytes = Figure::new("ply_to_spz.niantic.bytes", size(&ours)?, "bytes");
+    bench.push(bytes.peer("ply_to_spz", size(&theirs)?, true));
+    let peak = taken.peak as f64 / MIB;
+    bench.push(Figure::new("ply_to_spz.niantic.its_memory_mib", peak, "MiB"));
+    let again = import(&theirs, &ImportOptions::default())?;
+    let (found, wanted) = (again.max_count(), scene.max_count());
+    ensure!(found == wanted, "niantic.spz: {found} Gaussians of {wanted} are read");
+    Ok(())
 }
 
 /// The first frame of `scene` as `camera` sees it.

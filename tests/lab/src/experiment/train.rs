@@ -12,7 +12,7 @@ use render_host::{
     Splats, Workspace,
     adjoint::{
         loss::{
-            Distortion,
+            Distortion, Mse,
             photograph::{Photograph, PhotographLoss, Weights},
         },
         render_and_gradients_into,
@@ -97,6 +97,8 @@ fn devices(
                 times.push(1000.0 * start.elapsed().as_secs_f64());
             }
         }
+        let squared = Mse::new(photograph.over(WHITE));
+        differentiator.differentiate(splats, camera, &settings, &squared, &mut found, None)?;
         let key = format!("{}.device.{}", camera.width(), if of_cpu.is_none() { "cpu" } else { "gpu" });
         let figure = Figure::new(key, median(&times), "ms").runs(runs);
         bench.push(match &of_cpu {

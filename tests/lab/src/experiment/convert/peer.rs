@@ -1,4 +1,4 @@
-//! Measures what splat-transform takes, a process of its own.
+//! Measures what peers take, processes of their own: splat-transform, and the ply_to_spz of Niantic's spz.
 
 use std::{
     fs,
@@ -28,9 +28,21 @@ pub(super) struct Taken {
 
 /// What the peer takes to read `from`, do `actions` to it and write `to`, if it can do it.
 pub(super) fn timed_peer(peer: &str, from: &Path, actions: &[&str], to: &Path) -> Option<Taken> {
-    let start = Instant::now();
     let mut command = Command::new(peer);
     command.args(["-q", "-w", "-g", "cpu"]).arg(from).args(actions).arg(to);
+    timed(command, to)
+}
+
+/// What Niantic's program takes to read the PLY `from` and write the SPZ `to`, if there is one.
+pub(super) fn timed_ply_to_spz(program: &str, from: &Path, to: &Path) -> Option<Taken> {
+    let mut command = Command::new(program);
+    command.arg(from).arg(to);
+    timed(command, to)
+}
+
+/// What `command` takes to write `to`, if it can.
+fn timed(mut command: Command, to: &Path) -> Option<Taken> {
+    let start = Instant::now();
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().ok()?;
     let mut peak = 0;
     let status = loop {
