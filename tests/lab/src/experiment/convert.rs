@@ -40,8 +40,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
              written to a file in each format, wall time of both together, once; error: mean squared error \
              of a picture ({SIDE}x{SIDE}, black, one camera) of what is read back; the peer is \
              splat-transform on the processor (-g cpu), a process of its own each time, its start included; \
-             order of ours and the peer alternates; ply_to_spz.niantic: the program of Niantic's spz; memory: \
-             largest resident set of the process meanwhile"
+             order of ours and the peer alternates; ply_to_spz.niantic: the program of Niantic's spz; \
+             memory: largest resident set of the process meanwhile"
         ),
     );
     let folder = std::env::temp_dir().join(format!("dgs-bench-convert-{}", std::process::id()));
