@@ -29,6 +29,7 @@ mod media_sender;
 mod metrics;
 mod outstanding;
 mod parity_queue;
+mod recent_counts;
 mod reported_pose;
 mod round_trip_probe;
 mod run;

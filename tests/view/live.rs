@@ -188,7 +188,7 @@ fn what_a_clock_waits_for_is_not_late() {
     page.browser.wait(PAGE_TIMEOUT_S, &format!("Boolean({playing})")).unwrap();
     // The clip has a second; all of its base comes in three.
     std::thread::sleep(std::time::Duration::from_secs(12));
-    // What is there when the page first looks.
+    // The share of stand-ins once the page has decoded anything.
     page.run(&format!(
         "globalThis.first = null; const look = () => {{\
            if (player.session.packets()[1] > 0) first = {STAND_INS};\

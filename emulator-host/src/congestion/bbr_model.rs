@@ -17,7 +17,7 @@
 //! trip, and neither it nor r̂_path has headroom at any time.
 
 use super::{Acked, Controller, DeliverySample, Rtt, delivery::DeliveryRate, initial_window, minimum_window};
-use crate::clock::{Nanos, Rate};
+use crate::clock::{Bytes, Nanos, Rate};
 
 /// The model's state.
 #[derive(Clone, Debug)]
@@ -143,12 +143,12 @@ impl Controller for BbrModel {
 
     fn pacing_rate(&self, rtt: &Rtt) -> Rate {
         if self.is_exact {
-            return Rate::over(crate::clock::Bytes(self.window()), rtt.smoothed());
+            return Rate::over(Bytes(self.window()), rtt.smoothed());
         }
         match self.rate.estimate() {
             Some(rate) if self.starting => rate.scaled(2, 1),
             Some(rate) => rate.scaled(5, 4),
-            None => Rate::over(crate::clock::Bytes(self.window()), rtt.smoothed()).scaled(5, 4),
+            None => Rate::over(Bytes(self.window()), rtt.smoothed()).scaled(5, 4),
         }
     }
 
@@ -196,7 +196,7 @@ mod tests {
         let begun = BbrModel { is_exact: true, ..begun };
         assert!(begun.is_probing());
         assert_eq!((begun.name(), begun.headroom()), ("bbr-paper", (1, 1)));
-        let window = crate::clock::Bytes(begun.window());
+        let window = Bytes(begun.window());
         assert_eq!(begun.pacing_rate(&begun_rtt), Rate::over(window, Nanos::from_ms(40)));
         let (settled, _) = fed(&[(100, 8), (150, 8), (200, 8), (250, 8), (300, 8)]);
         assert_eq!(settled.headroom(), (5, 4));

@@ -7,12 +7,11 @@
 
 use std::collections::VecDeque;
 
+use super::recent_counts::{Counts, RecentCounts};
 use crate::clock::Nanos;
 
-/// Width of a bucket.
-const BUCKET: Nanos = Nanos::from_ms(100);
-/// Buckets that count.
-const BUCKETS: u64 = 100;
+/// Tenths of a second that count.
+const BUCKETS: usize = 100;
 /// Pairs in advance; a power of two, so that without others the share of losses comes out to the bit.
 const PRIOR_PAIRS: f64 = 16.0;
 /// Datagrams whose fate is remembered.
@@ -20,43 +19,24 @@ const MEMORY: usize = 1024;
 /// How far the first of another count may be overtaken by later ones.
 const OVERTAKEN: u64 = 64;
 
-/// Pairs of successive datagrams of which the first was lost.
-#[derive(Clone, Copy, Debug, Default)]
-struct Pairs {
-    all: u32,
-    both_lost: u32,
-}
-
-impl Pairs {
-    fn add(&mut self, other: Self) {
-        self.all += other.all;
-        self.both_lost += other.both_lost;
-    }
-
-    fn remove(&mut self, other: Self) {
-        self.all -= other.all;
-        self.both_lost -= other.both_lost;
-    }
-
-    fn of(second_lost: bool) -> Self {
-        Self { all: 1, both_lost: u32::from(second_lost) }
-    }
-}
-
 /// The estimator.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct LossBursts {
     /// Whether each datagram from `first` on was lost, where that is known.
     fates: VecDeque<Option<bool>>,
     first: u64,
-    /// By number of the bucket, ascending.
-    buckets: VecDeque<(u64, Pairs)>,
-    recent: Pairs,
+    /// Pairs of successive datagrams of which the first was lost, and those of which both were.
+    pairs: RecentCounts<BUCKETS>,
+}
+
+/// A pair whose first datagram was lost.
+fn pair(second_lost: bool) -> Counts {
+    Counts { all: 1, lost: u32::from(second_lost) }
 }
 
 impl LossBursts {
     pub(super) fn new() -> Self {
-        Self::default()
+        Self { fates: VecDeque::new(), first: 0, pairs: RecentCounts::new() }
     }
 
     /// The datagram `number`, counted in the order of sending, was found at `now` to be `lost` or to have
@@ -67,24 +47,24 @@ impl LossBursts {
             return;
         }
         self.fates[at] = Some(lost);
-        let mut pairs = Pairs::default();
+        let mut pairs = Counts::default();
         if at > 0 && self.fates[at - 1] == Some(true) {
-            pairs.add(Pairs::of(lost));
+            pairs.add(pair(lost));
         }
         if lost && let Some(next_lost) = self.fates.get(at + 1).copied().flatten() {
-            pairs.add(Pairs::of(next_lost));
+            pairs.add(pair(next_lost));
         }
         if pairs.all > 0 {
-            self.enter(pairs, now);
+            self.pairs.add(pairs, now);
         }
     }
 
     /// The share of datagrams that are lost among those whose predecessor was, where `loss` of all are:
     /// `loss` if losses do not cluster, below 1.
     pub(super) fn share_after_loss(&mut self, loss: f64, now: Nanos) -> f64 {
-        self.forget(now);
-        let lost = f64::from(self.recent.both_lost) + PRIOR_PAIRS * loss;
-        (lost / (f64::from(self.recent.all) + PRIOR_PAIRS)).max(loss)
+        let pairs = self.pairs.sum(now);
+        let lost = f64::from(pairs.lost) + PRIOR_PAIRS * loss;
+        (lost / (f64::from(pairs.all) + PRIOR_PAIRS)).max(loss)
     }
 
     /// Where the fate of the datagram `number` is kept; `None` if that is forgotten.
@@ -105,24 +85,6 @@ impl LossBursts {
             at -= 1;
         }
         Some(at)
-    }
-
-    fn enter(&mut self, pairs: Pairs, now: Nanos) {
-        self.forget(now);
-        self.recent.add(pairs);
-        let number = now.0 / BUCKET.0;
-        match self.buckets.back_mut() {
-            Some((newest, known)) if *newest == number => known.add(pairs),
-            _ => self.buckets.push_back((number, pairs)),
-        }
-    }
-
-    /// Drops the buckets that are too old at `now`.
-    fn forget(&mut self, now: Nanos) {
-        let number = now.0 / BUCKET.0;
-        while let Some((_, pairs)) = self.buckets.pop_front_if(|(old, _)| *old + BUCKETS <= number) {
-            self.recent.remove(pairs);
-        }
     }
 }
 

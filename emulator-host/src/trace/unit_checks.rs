@@ -17,7 +17,7 @@ const FASTEST: Rate = Rate::from_mbps(500);
 const FASTEST_OF_LOGGED: Rate = Rate::from_mbps(100);
 /// From so many rows on they are many.
 const MANY: usize = 10;
-/// From so many rows on a person has not written them.
+/// Traces of so many rows were written by a program, not by hand.
 const LOGGED: usize = 20;
 /// A rate of which all rates are multiples has at most one digit behind the point.
 const TENTH: u64 = 100_000;

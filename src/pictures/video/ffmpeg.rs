@@ -43,8 +43,8 @@ fn crf(quality: u8) -> u8 {
     (51.0 * (1.0 - f64::from(quality) / 100.0)).round() as u8
 }
 
-/// Between two looks at whether ffmpeg has ended.
-const LOOK_EVERY: Duration = Duration::from_millis(10);
+/// How long to wait before it is checked again whether ffmpeg has ended.
+const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
 /// A video on its way.
 pub struct FfmpegVideo {
@@ -123,7 +123,7 @@ impl FfmpegVideo {
         let status = loop {
             match self.ffmpeg.ended().context("ffmpeg: cannot wait for its end")? {
                 Some(status) => break status,
-                None => thread::sleep(LOOK_EVERY),
+                None => thread::sleep(POLL_INTERVAL),
             }
         };
         if !status.success() {

@@ -107,23 +107,32 @@ fn measure(setup: &Setup, folder: &Path, count: usize, bench: &mut Bench) -> Res
             None => bench.skipped.push(format!("ply_to_{format}.memory_mib: this system does not tell")),
         }
     }
-    niantic(folder, &source, bench)?;
+    niantic(folder, &source, (&camera, &expected), bench)?;
     decimate::measure(setup, folder, &source, has_peer.then_some(&*peer), bench)
 }
 
-/// Adds ours of `source` to SPZ, once more, beside Niantic's own program.
-fn niantic(folder: &Path, source: &Path, bench: &mut Bench) -> Result<()> {
+/// Adds ours of `source`, of which a camera sees a picture, to SPZ, once more, beside Niantic's own program.
+fn niantic(
+    folder: &Path,
+    source: &Path,
+    (camera, expected): (&Camera, &Image),
+    bench: &mut Bench,
+) -> Result<()> {
     let Ok(program) = std::env::var(NIANTIC) else {
         bench.skipped.push(format!("Niantic's spz: {NIANTIC} names no program of it"));
         return Ok(());
     };
     let (ours, theirs) = (folder.join("again.spz"), folder.join("niantic.spz"));
-    let taken =
-        timed_ply_to_spz(&program, source, &theirs).with_context(|| format!("{program} ({NIANTIC})"))?;
+    let taken = timed_ply_to_spz(&program, source, &theirs)
+        .with_context(|| format!("{program}: does not run, or writes no file ({NIANTIC})"))?;
     let start = Instant::now();
     let scene = import(source, &ImportOptions::default())?;
     fs::write(&ours, encoded("spz", &scene.epochs()[0])?)?;
-    let wall = Figure::new("ply_to_spz.niantic.wall_s", start.elapsed().as_secs_f64(), "s").runs(1);
+    let seconds = start.elapsed().as_secs_f64();
+    let error = metric::mse(&picture(&import(&ours, &ImportOptions::default())?, camera)?, expected)?;
+    let wall = Figure::new("ply_to_spz.niantic.wall_s", seconds, "s")
+        .runs(1)
+        .error(error, "mean squared error of a picture, of 1");
     bench.push(wall.peer("ply_to_spz", taken.seconds, true));
     let size = |path: &Path| fs::metadata(path).map(|found| found.len() as f64);
     let bytes = Figure::new("ply_to_spz.niantic.bytes", size(&ours)?, "bytes");

@@ -6,7 +6,7 @@ mod rank;
 
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use codec_core::{Gaussian, ShDegree};
 use render_host::{
     Camera, Gradients, Image, Loss, Renderer, Settings, Splats, Workspace,
@@ -31,6 +31,8 @@ use crate::{
 
 /// How often ours and the peer take turns.
 const TURNS: usize = 3;
+/// A peer's picture that is further from the reference is of something else: ours and theirs cut differently.
+const MIN_PEER_DB: f64 = 50.0;
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
@@ -243,12 +245,8 @@ fn frame(
             .runs(runs),
     );
     if let Some(difference) = exact.difference(&theirs.rgb).filter(|_| peer.is_some()) {
-        beside_peer(
-            bench,
-            &format!("{name}.opensplat"),
-            [&forward, &with_mse],
-            (&theirs, difference.psnr_db),
-        );
+        let psnr_db = difference.psnr_db;
+        beside_peer(bench, &format!("{name}.opensplat"), [&forward, &with_mse], (&theirs, psnr_db))?;
     }
     let losses: [(&str, &dyn Loss, &[f64]); 2] = [("mse", &mse, &with_mse), ("mse+ssim", &both, &with_both)];
     for (which, loss, times) in losses {
@@ -264,13 +262,23 @@ fn frame(
 
 /// Adds our times, of pictures and with gradients, beside the peer's, and how far its picture is from the
 /// reference, dB.
-fn beside_peer(bench: &mut Bench, name: &str, ours: [&[f64]; 2], (theirs, psnr_db): (&Timed, f64)) {
+///
+/// # Errors
+/// Another picture: its time would be of other work.
+fn beside_peer(
+    bench: &mut Bench,
+    name: &str,
+    ours: [&[f64]; 2],
+    (theirs, psnr_db): (&Timed, f64),
+) -> Result<()> {
+    ensure!(psnr_db >= MIN_PEER_DB, "{name}: its picture is {psnr_db:.1} dB from the reference");
     let parts = [("forward", ours[0], &theirs.forward), ("forward_backward", ours[1], &theirs.with_mse)];
     for (part, ours, theirs) in parts {
         let figure = Figure::new(format!("{name}.{part}"), median(ours), "ms");
+        let figure = figure.error(psnr_db, "dB, its picture against the reference");
         bench.push(figure.peer("OpenSplat", median(theirs), true).runs(ours.len()));
     }
-    bench.push(Figure::new(format!("{name}.its_psnr"), psnr_db, "dB"));
+    Ok(())
 }
 
 /// Relative error of the derivative along a random change of all colours. The picture is linear in
@@ -311,4 +319,33 @@ pub(super) fn along_colours(
         found += (0..3).map(|c| (a[c] - b[c]) * f64::from(g.sh0[c])).sum::<f64>();
     }
     Ok((found / expected - 1.0).abs())
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    /// A program that prints times and draws nothing is no peer, nor is one that fails.
+    #[test]
+    fn a_peer_that_draws_something_else_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let against = |script: &str| {
+            let program = folder.path().join("peer");
+            std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
+            std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o700)).unwrap();
+            let peer = Peer::of(program).unwrap();
+            let scene = cloud(CloudShape::Volume, 200);
+            let mut bench = Bench::new("gradient", "test");
+            let splats = Splats::plain(&scene.gaussians);
+            let compared = frame(&mut bench, "x", &splats, &camera(16).unwrap(), (1, Some(&peer)));
+            compared.unwrap_err().to_string()
+        };
+        let black = "head -c 3072 /dev/zero > \"$3\"; echo 1.0 2.0";
+        assert!(against(black).contains("x.opensplat: its picture is"), "{}", against(black));
+        assert!(against("head -c 12 /dev/zero > \"$3\"; echo 1.0 2.0").contains("has 12 bytes"));
+        assert!(against("head -c 3072 /dev/zero > \"$3\"").contains("ran 0 times for 1"));
+        assert!(against("echo no such thing >&2; exit 1").contains("no such thing"));
+    }
 }

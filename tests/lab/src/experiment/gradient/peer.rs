@@ -36,10 +36,17 @@ impl Peer {
     /// # Errors
     /// That there is no folder for its files.
     pub fn installed() -> Result<Option<Self>> {
-        let Some(program) = std::env::var_os(PROGRAM) else { return Ok(None) };
+        std::env::var_os(PROGRAM).map(|program| Self::of(program.into())).transpose()
+    }
+
+    /// The peer `program`.
+    ///
+    /// # Errors
+    /// That there is no folder for its files.
+    pub fn of(program: PathBuf) -> Result<Self> {
         let folder = std::env::temp_dir().join(format!("dgs-bench-gradient-{}", std::process::id()));
         fs::create_dir_all(&folder).with_context(|| format!("{}: cannot make", folder.display()))?;
-        Ok(Some(Self { program: program.into(), folder }))
+        Ok(Self { program, folder })
     }
 
     /// Times `runs` pictures of `splats` without harmonics, and their gradients.
