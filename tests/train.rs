@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+#[path = "train/device.rs"]
+mod device;
 #[path = "train/encoder.rs"]
 mod encoder;
 #[cfg(unix)]
@@ -21,8 +23,6 @@ use std::{
     thread,
     time::Duration,
 };
-
-use render_host::Backend;
 
 const SCENE: &str = "synth:balls:1000:3";
 /// Small enough to train in a few seconds.
@@ -312,35 +312,6 @@ fn fine_tuning_for_delivery_fixes_its_rules_before_it_starts() {
     assert!(error.contains("--utility") && error.contains("measures neither"), "{error}");
     let error = refused(at, &["-o", "other", "--delivery", "no-such-variant"]);
     assert!(error.contains("no-such-variant") && error.contains("burst-cvar"), "{error}");
-}
-
-#[test]
-fn a_device_is_named_and_one_that_is_missing_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    let at = folder.path();
-    let error = refused(at, &["-o", "scene", "--delivery", "iid", "--device", "gpu"]);
-    if !Backend::HAS_GPU {
-        assert!(error.contains("--device") && error.contains("--features gpu"), "{error}");
-        assert!(!at.join("scene").exists());
-        return;
-    }
-    if error.contains("no graphics adapter") {
-        assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "{error}");
-        eprintln!("SKIPPED: {error}");
-        return;
-    }
-    assert!(error.contains("--device is gpu") && error.contains("cpu is allowed"), "{error}");
-    assert!(!at.join("scene").exists());
-    let report: serde_json::Value =
-        serde_json::from_str(&ok(at, &["-o", "out", "--device", "gpu", "--json"])).unwrap();
-    assert_ne!(report["device"], "cpu");
-    // A training goes on on another device.
-    fs::remove_file(at.join("out/scene.dgs")).unwrap();
-    let resumed =
-        ["train", SCENE, "-o", "out", "--resume", "--side", "64", "--cameras", "6", "--pictures", "0"];
-    let output = Command::new(env!("CARGO_BIN_EXE_dgs")).current_dir(at).args(resumed).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(at.join("out/scene.dgs").exists());
 }
 
 /// Interrupted, a fine-tuning stops at its next step and writes what exists.

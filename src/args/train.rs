@@ -59,7 +59,8 @@ pub struct Train {
     /// Options of the training as JSON: any of those that report.html lists. What is typed besides wins.
     /// Cameras of a rig may differ in brightness and tint: that is learnt where places have several
     /// photographs, without outlines, and the scene is their mean; {"rates": {"exposure": 0}} takes all as
-    /// alike.
+    /// alike. All bands of the harmonics train from the first step; {"schedule": {"harmonics_every": 0.1}}
+    /// begins one band after another, a tenth of the training apart (at most 0.25).
     #[arg(long, value_name = "FILE")]
     pub options: Option<PathBuf>,
     /// Most Gaussians, of all epochs together [default: 26000].
@@ -90,9 +91,9 @@ pub struct Train {
     /// How Gaussians are added [default: split].
     #[arg(long, value_enum)]
     pub density: Option<DensityName>,
-    /// What renders and differentiates photographs; gpu is in builds with `--features gpu`. Fine-tuning for
-    /// delivery (a note says so), encoding and figures run on the processor, whatever this says. A training
-    /// may be resumed on another device; bit for bit it goes on only on its own.
+    /// What renders and differentiates photographs, and states of --delivery; gpu is in builds with
+    /// `--features gpu`. Losses, validation, encoding and figures run on the processor, whatever this says. A
+    /// training or fine-tuning may be resumed on another device; bit for bit it goes on only on its own.
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
     pub device: DeviceName,
     /// Steps between checkpoints; of --delivery updates, at most 20.

@@ -42,7 +42,7 @@ use self::{
     training::{GLANCE_VIEWS, begin, check_length, fit, options, resumed},
 };
 use crate::{
-    args::{DeviceName, train::Train},
+    args::train::Train,
     figures::Machine,
     files,
     output::{self, VerbOutput},
@@ -102,9 +102,6 @@ fn train(
 ) -> Result<VerbOutput> {
     let Input { scene, dataset, .. } = input;
     let folder = Folder::of(&args.out);
-    if scene.is_some() && delivery.is_some() && args.device == DeviceName::Gpu {
-        bail!("--device is gpu; fine-tuning a scene for delivery runs on the processor: cpu is allowed");
-    }
     if scene.is_some() && delivery.is_some() && (args.utility || args.lpips.is_some()) {
         bail!(
             "--utility, --lpips: for trained photographs; fine-tuning a scene for delivery measures neither"
@@ -135,11 +132,11 @@ fn train(
     let _opened = folder.open(args)?;
     let stop = Interruption::watch();
     if let (Some(scene), Some(options)) = (scene, delivery) {
-        return delivery::run(args, &folder, scene, dataset, options, &stop, quiet);
+        return delivery::run(args, &folder, scene, dataset, (options, backend), &stop, quiet);
     }
     let encoder = EncoderOptions::of(args, trained_for);
     let changes = encoder.taken_up(&folder.encoder, args.resume)?;
-    let with = (delivery, &encoder, network.as_ref());
+    let with = (delivery.map(|options| (options, backend)), &encoder, network.as_ref());
     let plan = match scene {
         Some(scene) => Plan::of(args, &folder, scene, dataset, &stop, quiet)?,
         None => None,
@@ -165,7 +162,6 @@ fn train(
         log.notes.extend_from_slice(&input.notes);
         log.notes.extend(changes);
         log.notes.extend(delivery.and_then(delivery::tail_in_words));
-        log.notes.extend(delivery.and_then(|_| delivery::device_in_words(&backend.name())));
         let ended = fit(args, &folder, dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
         let trained = Trained::of(&trainer, dataset, args)?;
         finish(args, &folder, dataset, (&trained, &log, ended), with, &stop, quiet)?
@@ -268,7 +264,7 @@ fn finish(
     folder: &Folder,
     dataset: &Dataset,
     (trained, log, mut ended): (&Trained, &Log, Ended),
-    (delivery, encoder, network): (Option<&DeliveryOptions>, &EncoderOptions, Option<&Lpips>),
+    (delivery, encoder, network): (Option<(&DeliveryOptions, &Backend)>, &EncoderOptions, Option<&Lpips>),
     stop: &Interruption,
     quiet: Quiet,
 ) -> Result<VerbOutput> {
@@ -278,9 +274,10 @@ fn finish(
     let mut tuning = None;
     let mut section = None;
     let written = match delivery.filter(|_| !ended.interrupted) {
-        Some(options) => {
+        Some((options, backend)) => {
             let references = (dataset, trained.options.background, trained.options.max_side);
-            let tuned = delivery::fine_tuned(args, folder, &trained.scene, references, options, stop, quiet)?;
+            let with = (options, backend);
+            let tuned = delivery::fine_tuned(args, folder, &trained.scene, references, with, stop, quiet)?;
             ended.interrupted |= tuned.record.objective.len() < options.updates;
             tuning = Some((options, tuned.record, tuned.choice));
             section = Some(tuned.section);

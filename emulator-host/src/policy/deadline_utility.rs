@@ -4,23 +4,41 @@
 //! profile), by marginal gain per byte over what is there or on its way; a piece is credited with all that
 //! stands on it (the plan's text says how). Gains are Σ over frames of utility ÷ positive utility of the
 //! frame × chance to have arrived. What it does beyond the paper's S(g), each by name in
-//! [`DeadlineUtilityConfig`]:
+//! [`DeadlineUtilityConfig`], and each left out by itself in a row of `dgs bench transport`:
 //!
 //! - *own queue*: media stays out while what is in flight already fills the path; bytes once sent cannot be
-//!   decided again;
-//! - *lost compete*: a lost packet waits again and is worth the whole rest of its group;
+//!   decided again. *Short queue*: sooner where hardly anything is lost. *Empty path*: a path that is kept
+//!   full is emptied now and then, so that its round trip is known;
+//! - *skip late*: what would come too late for its last frame through the queue that media cause themselves
+//!   is not sent;
+//! - *lost compete*: a lost packet waits again and is worth the whole rest of its group. So no loss takes
+//!   from P_g what waits (*loss repaired*); what is in flight counts as far as it is likely to arrive
+//!   (*survival*);
+//! - *rest only*: a piece is divided by what of it is still to be sent, where S(g) has U_g and all bytes that
+//!   are not acknowledged. *Headers*: these are bytes of datagrams, not of packets alone;
+//! - *frame share*: utility is divided by the positive utility of its frame, as reports do;
 //! - *delay weight*: what waiting until the next motion window is half over would cost goes first, by cost
 //!   per byte; what would cost nothing waits, however much it adds. So the time before playout carries what
-//!   frame 0 needs, and windows leave when the one before them plays;
-//! - *credit*, *arrival from queue*, *base weight*: how else a piece is scored;
+//!   frame 0 needs, and windows leave when the one before them plays. *Error growth*: what is sent later is
+//!   less certain to be in time;
+//! - *credit* (S(g) charges a group with what it needs, and credits nothing), *arrival from queue*, *base
+//!   weight*: how else a piece is scored;
 //! - *opening*: before playout, what the startup rule counts, by count per byte;
 //! - *parity competes*: parity is one more candidate, worth what repetition would come too late for, as far
-//!   as losses in bursts leave it enough to repair with;
+//!   as losses in bursts leave it enough to repair with (*parity bursts*), if that is not too little beside
+//!   what a loss costs (*least saved*);
 //! - *viewport*: what is out of the viewer's sight, or far away, waits (the viewport's text has the formula).
 //!
-//! The forecast orders and never refuses: its error has a heavy tail, so everything that can still be shown
-//! keeps some value, and a policy that is wrong about the path goes on to learn. One thing is held back: what
-//! would come too late for its last frame through the queue that media cause themselves.
+//! Two more lie in the graph, and leaving one out takes another graph of the same packets:
+//!
+//! - *gains*: [`crate::graph::Group::utility`] is of streams what a group adds once everything else is there,
+//!   bases scaled to what they gain at once, and at least 0, where S(g) has Ũ
+//!   ([`crate::graph::Group::risk_adjusted`]);
+//! - *packets*: with [`crate::graph::ClosureRule::Sliced`] the pieces are packets, where S(g) is of groups.
+//!
+//! The forecast orders and refuses nothing but what is late (*skip late*): its error has a heavy tail, so
+//! everything that can still be shown keeps some value, and a policy that is wrong about the path goes on to
+//! learn.
 //!
 //! With a flat table the score is frames per byte and their urgency: windows come in order and, within a
 //! window, levels, which is the conventional schedule.
@@ -118,6 +136,8 @@ impl Scheduler for DeadlineUtility {
     fn service(&self) -> SenderRequirements {
         SenderRequirements {
             max_queue_delay: self.config.max_queue_delay,
+            short_queue: self.config.short_queue,
+            empty_path: self.config.empty_path,
             lost_compete: self.config.lost_compete,
         }
     }

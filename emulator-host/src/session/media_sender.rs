@@ -256,18 +256,19 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// not. Two may always be out, and one more leaves after every silence of twice the queue, or of what the
     /// path needs for two datagrams, so that a full path drains nevertheless: what is in flight may be lost,
     /// and without an acknowledgement of something later nothing but the probe timeout would tell. Control is
-    /// not subject to this. After ten seconds in which the path was never empty it is emptied for about a
-    /// round trip, to measure how long it is by itself.
+    /// not subject to this. Where the scheduler requires it, a path that was never empty for ten seconds is
+    /// emptied for about a round trip, to measure how long it is by itself.
     pub fn full_until(&self, now: Nanos) -> Option<Nanos> {
         let path = &self.view_state.path;
         let max_queue_delay = self.service.max_queue_delay.filter(|_| path.minimum_rtt > Nanos::ZERO)?;
-        let emptied_until = self.probe.holds_until(path, now);
+        let emptied_until = self.probe.holds_until(path, now).filter(|_| self.service.empty_path);
         if emptied_until.is_some() || path.in_flight < 2 * path.datagram_bytes {
             return emptied_until;
         }
         // A path of many milliseconds needs as many more to be probed for its rate.
         let widest = max_queue_delay.max(path.minimum_rtt);
-        let queue = if self.view_state.loss < FEW_LOSSES { Nanos(widest.0 / 20 * 9) } else { widest };
+        let is_short = self.service.short_queue && self.view_state.loss < FEW_LOSSES;
+        let queue = if is_short { Nanos(widest.0 / 20 * 9) } else { widest };
         let longest = path.minimum_rtt + queue;
         if path.rate.moves_within(Bytes(path.in_flight), longest) {
             return None;

@@ -103,14 +103,6 @@ pub(super) fn tail_in_words(options: &DeliveryOptions) -> Option<String> {
     })
 }
 
-/// That a training on `device`, by its name for reports, is fine-tuned on another.
-pub(super) fn device_in_words(device: &str) -> Option<String> {
-    let processor = Backend::Cpu.name();
-    (device != processor).then(|| {
-        format!("--delivery: fine-tuning runs on the processor ({processor}); the training ran on {device}")
-    })
-}
-
 /// What is typed of a training, and means nothing where the scene is there already.
 fn unused(args: &Train) -> Vec<&'static str> {
     let of_training = [
@@ -131,20 +123,20 @@ fn unused(args: &Train) -> Vec<&'static str> {
     of_training.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
 }
 
-/// Runs the verb on a scene that is there.
+/// Runs the verb on a scene that is there; updates are made on the backend.
 pub(super) fn run(
     args: &Train,
     folder: &Folder,
     scene: &Scene,
     dataset: &Dataset,
-    options: &DeliveryOptions,
+    (options, backend): (&DeliveryOptions, &Backend),
     stop: &Interruption,
     quiet: Quiet,
 ) -> Result<VerbOutput> {
     let background = args.background.unwrap_or(BACKGROUND);
     let pictures = (dataset, background, typed(args)?.max_side);
     let Tuned { encoded: tuned, given, record, section, choice } =
-        fine_tuned(args, folder, scene, pictures, options, stop, quiet)?;
+        fine_tuned(args, folder, scene, pictures, (options, backend), stop, quiet)?;
     let updates = record.objective.len();
     let interrupted = updates < options.updates;
     let bytes = tuned.stream.to_bytes()?;
@@ -179,6 +171,7 @@ pub(super) fn run(
         "updates": updates,
         "taken": record.before_and_taken().map(|(_, taken)| taken.updates),
         "interrupted": interrupted,
+        "device": record.device,
         "before": before,
         "fine_tuned": after,
         "bytes": bytes.len(),
@@ -204,14 +197,14 @@ pub(super) struct Tuned {
     pub(super) choice: Option<RankChoice>,
 }
 
-/// The stream of `scene`, fine-tuned towards training views over a background, no side longer than the third
-/// says, until a person asks to stop; and how many updates were made.
+/// The stream of `scene`, fine-tuned on a backend towards training views over a background, no side longer
+/// than the third says, until a person asks to stop; and how many updates were made.
 pub(super) fn fine_tuned(
     args: &Train,
     folder: &Folder,
     scene: &Scene,
     (dataset, background, max_side): (&Dataset, [f32; 3], u32),
-    options: &DeliveryOptions,
+    (options, backend): (&DeliveryOptions, &Backend),
     stop: &Interruption,
     quiet: Quiet,
 ) -> Result<Tuned> {
@@ -222,7 +215,7 @@ pub(super) fn fine_tuned(
         ..options.clone()
     };
     let references = references(dataset, scene, (args.references, max_side), background)?;
-    let chosen = || rank::chosen(args, folder, scene, &references, &options, stop, quiet);
+    let chosen = || rank::chosen(args, folder, scene, &references, (&options, backend), stop, quiet);
     let choice = args.choose_rank.then(chosen).transpose()?;
     let options = match &choice {
         Some(RankChoice { rank, .. }) => {
@@ -230,7 +223,7 @@ pub(super) fn fine_tuned(
         }
         None => options,
     };
-    let (tuned, seconds) = updated(args, folder, scene, &references, &options, stop, quiet)?;
+    let (tuned, seconds) = updated(args, folder, scene, &references, (&options, backend), stop, quiet)?;
     files::write(&folder.delivery, serde_json::to_string_pretty(&tuned.record)?.as_bytes())?;
     let progress = |_: &'static str, _: f64| {
         stop.leave("delivery.json is whole; the stream is not there");
@@ -249,7 +242,7 @@ fn updated(
     folder: &Folder,
     scene: &Scene,
     references: &[Reference],
-    options: &DeliveryOptions,
+    (options, backend): (&DeliveryOptions, &Backend),
     stop: &Interruption,
     quiet: Quiet,
 ) -> Result<(FineTuned, f64)> {
@@ -261,7 +254,7 @@ fn updated(
     let unsaved = RefCell::new(None);
     let bar = Progress::new("fine-tune for delivery", quiet.0);
     let clock = Clock::now();
-    let tuned = resume(scene, references, options, begun, &|update, tuning| {
+    let tuned = resume(scene, references, options, backend, begun, &|update, tuning| {
         let seconds = clock.elapsed().as_secs_f64();
         log.borrow_mut().add(before + seconds);
         say(&bar, update, tuning, (made, seconds), quiet);
@@ -400,12 +393,5 @@ mod tests {
         assert_eq!(of(Variant::Iid, 16, plain), None, "without a tail");
         assert_eq!(of(Variant::Combined, 16, Weights { cvar: 0.0, ..plain }), None);
         assert_eq!(of(Variant::Combined, 16, Weights { cvar_fraction: 0.1, ..plain }), None);
-    }
-
-    #[test]
-    fn a_device_that_does_not_fine_tune_is_named() {
-        assert_eq!(device_in_words(&Backend::Cpu.name()), None);
-        let words = device_in_words("llvmpipe (Vulkan, Mesa)").unwrap();
-        assert!(words.contains("on the processor (cpu)") && words.contains("llvmpipe"), "{words}");
     }
 }

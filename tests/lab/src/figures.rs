@@ -119,8 +119,19 @@ impl Bench {
             "{} on {} ({} cores){device}\n{}\n",
             self.name, self.machine.cpu, self.machine.cores, self.protocol
         );
-        let width = self.figures.iter().map(|f| f.key.len()).max().unwrap_or(0);
-        for f in &self.figures {
+        out += &self.rows(0);
+        for skipped in &self.skipped {
+            out += &format!("  SKIPPED: {skipped}\n");
+        }
+        out
+    }
+
+    /// The figures from the `first` on, a line each.
+    pub fn rows(&self, first: usize) -> String {
+        let figures = self.figures.get(first..).unwrap_or_default();
+        let width = figures.iter().map(|f| f.key.len()).max().unwrap_or(0);
+        let mut out = String::new();
+        for f in figures {
             out += &format!("  {:width$}  {:>14} {}", f.key, number(f.value), f.unit);
             if let Some(error) = f.error {
                 out += &format!("  error {} {}", number(error), f.error_unit.as_deref().unwrap_or(""));
@@ -138,9 +149,6 @@ impl Bench {
                 out += &format!("  [{runs} runs]");
             }
             out.push('\n');
-        }
-        for skipped in &self.skipped {
-            out += &format!("  SKIPPED: {skipped}\n");
         }
         out
     }

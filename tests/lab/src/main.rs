@@ -43,6 +43,9 @@ struct Typed {
         value_parser = clap::value_parser!(u16).range(1..=128)
     )]
     lpips_states: u16,
+    /// Of `workloads`, which takes an hour, only the streams whose names hold this, for example cloth.
+    #[arg(long, value_name = "NAME")]
+    only: Option<String>,
     /// Print figures as JSON on standard output, and nothing else there.
     #[arg(long)]
     json: bool,
@@ -63,6 +66,7 @@ fn run(typed: &Typed) -> Result<VerbOutput> {
     setup.out.clone_from(&typed.out);
     setup.lpips.clone_from(&typed.lpips);
     setup.lpips_states = usize::from(typed.lpips_states);
+    setup.only.clone_from(&typed.only);
     let mut benches = Vec::new();
     for experiment in chosen(typed.name.as_deref().unwrap_or("all"))? {
         let bench = (experiment.run)(&setup)?;

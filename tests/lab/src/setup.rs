@@ -26,6 +26,8 @@ pub struct Setup {
     pub lpips: Option<PathBuf>,
     /// States that a study of states measures with LPIPS.
     pub lpips_states: usize,
+    /// Part of the names of the streams that `workloads` delivers; all without.
+    pub only: Option<String>,
 }
 
 impl Setup {
@@ -42,6 +44,7 @@ impl Setup {
             out: None,
             lpips: None,
             lpips_states: usize::from(Self::LPIPS_STATES),
+            only: None,
         }
     }
 
@@ -60,6 +63,14 @@ impl Setup {
         let path = folder.join(name);
         std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot make", folder.display()))?;
         dgs::files::write(&path, text.as_bytes())
+    }
+
+    /// Shows the figures of `bench` from the `first` on, on standard error: a bench that takes long, and is
+    /// broken off, has then said something.
+    pub fn show(&self, bench: &Bench, first: usize) {
+        if !self.quiet.0 {
+            eprint!("{}", bench.rows(first));
+        }
     }
 
     /// `path` in the data folder, or why it is not there (for [`Bench::skipped`]).

@@ -20,12 +20,20 @@
 //! the proxies that stand in for blocks whose base is missing. Equal inputs and seed give equal results on
 //! any number of threads. Deliberately absent: networks (emulator-host; its deliveries come as a file of
 //! states) and motion, which stays as the encoder chose it.
+//!
+//! States are drawn and differentiated on the processor, which draws what they share once, or one by one on
+//! a graphics device ([`render_host::Backend`]). Losses, the codec and validation are of the processor on
+//! both, so that candidates are chosen alike. One picture's gradients on the two agree to 1e-4; those of an
+//! update, by parameters and by steps, to 1e-3 (relative L2 distance), except where a rounding decides on
+//! which side of a cut-off a splat falls. A fine-tuning may be resumed on another device; bit for bit it goes
+//! on only on its own.
 
 mod adam;
 mod channel;
 mod coded;
 mod config;
 mod delivered;
+mod drawing;
 mod error;
 mod evaluate;
 mod fine_tune;

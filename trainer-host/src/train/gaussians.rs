@@ -36,6 +36,8 @@ pub(super) struct TrainedGaussians {
     pub(super) skin: Parameter,
     /// Degree of `sh_rest`.
     pub(super) degree: u8,
+    /// Steps of the training before each higher band began.
+    begun: [u32; 3],
 }
 
 /// A rate per attribute, for one step.
@@ -84,7 +86,20 @@ impl TrainedGaussians {
             sh_rest: Parameter::new(width, sh_rest),
             skin: Parameter::new(FOLLOWED, vec![0.0; FOLLOWED * count]),
             degree: degree.get(),
+            begun: [0; 3],
         }
+    }
+
+    /// Begins the bands up to `degree` that are not there, at 0 and with nothing remembered of them, after
+    /// `steps` steps of the training. Returns whether there were any.
+    pub(super) fn begin_bands(&mut self, degree: ShDegree, steps: u32) -> bool {
+        let begins = self.degree < degree.get();
+        if begins {
+            self.begun[usize::from(self.degree)..usize::from(degree.get())].fill(steps);
+            self.sh_rest.widen(degree.rest_len(), self.len());
+            self.degree = degree.get();
+        }
+        begins
     }
 
     pub(super) fn len(&self) -> usize {
@@ -218,9 +233,22 @@ impl TrainedGaussians {
         self.opacity.step(at(rates.opacity));
         self.sh0.step(at(rates.sh0));
         if rates.sh_rest > 0.0 {
-            self.sh_rest.step(at(rates.sh_rest));
+            self.step_bands(at(rates.sh_rest));
         }
         self.skin.step(at(rates.skin));
+    }
+
+    /// Takes a step of the higher bands, each of which counts its own: as steps of the training, the first of
+    /// a late band would be several times too long.
+    fn step_bands(&mut self, step: AdamStep) {
+        if self.begun == [0; 3] {
+            return self.sh_rest.step(step);
+        }
+        let of_band = |(below, &begun): (usize, &u32)| {
+            std::iter::repeat_n(step.number.saturating_sub(begun).max(1), 3 * (2 * below + 3))
+        };
+        let numbers = self.begun.iter().enumerate().flat_map(of_band).take(self.sh_rest.width());
+        self.sh_rest.step_numbered(step, &numbers.collect::<Vec<u32>>());
     }
 
     /// Keeps the Gaussians of these indices; see [`Parameter::select`].

@@ -132,7 +132,15 @@ pub struct Schedule {
     /// From here the scene is the moving average of the parameters over a hundred steps; 1: never, the scene
     /// is what the last step led to.
     pub average_from: f64,
+    /// Share of the training between two bands of the harmonics: band 1 begins after one such share, band 2
+    /// after two, band 3 after three (Kerbl et al. 2023, section 7.1). Until then a band is 0, and is neither
+    /// evaluated nor differentiated; bands that the scene begins with learn from the first step. 0: all do.
+    /// At most 0.25, and [`TrainOptions::sh_degree`] times it at most [`Finish::round_from`].
+    pub harmonics_every: f64,
 }
+
+/// [`Schedule::harmonics_every`] where nothing is said.
+const HARMONICS_EVERY: f64 = 0.0;
 
 impl Default for Schedule {
     fn default() -> Self {
@@ -150,6 +158,7 @@ impl Default for Schedule {
             rigidity_decay: 0.05,
             opposite_end: 1.0,
             average_from: 0.9,
+            harmonics_every: HARMONICS_EVERY,
         }
     }
 }
@@ -344,6 +353,7 @@ impl TrainOptions {
             rigidity_decay,
             opposite_end,
             average_from,
+            harmonics_every,
         } = self.schedule;
         let shares = [
             ("schedule.still", still),
@@ -365,7 +375,17 @@ impl TrainOptions {
         for (field, value) in shares {
             real(field, value as f32, 1.0, "0 to 1")?;
         }
-        self.finish.validate(real)
+        real("schedule.harmonics_every", harmonics_every as f32, 0.25, "0 to 0.25")?;
+        self.finish.validate(real)?;
+        // What the encoder chooses when rounding begins holds to the end, and says which bands are sent.
+        if harmonics_every * f64::from(self.sh_degree) > self.finish.round_from {
+            return Err(OptionsError {
+                field: "schedule.harmonics_every",
+                found: harmonics_every.to_string(),
+                allowed: "at most finish.round_from / sh_degree",
+            });
+        }
+        Ok(())
     }
 
     /// Weights of the loss.

@@ -1,5 +1,6 @@
 //! A schedule says what applies at each share of the training: sizes, rates, numbers of nodes.
 
+use codec_core::ShDegree;
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -61,6 +62,13 @@ pub(super) fn stands(options: &TrainOptions) -> Vec<f64> {
     let (from, to) = (options.schedule.stand_still_from, options.finish.round_from);
     let shares = [0.0, 0.25, 0.5, 0.75].map(|share| from + share * (to - from));
     if options.stand_still_within > 0.0 && from < to { shares.into() } else { Vec::new() }
+}
+
+/// Degree of the harmonics whose bands have begun.
+pub(super) fn degree(options: &TrainOptions, progress: f64) -> ShDegree {
+    let every = options.schedule.harmonics_every;
+    let has_begun = |band: &u8| progress >= every * f64::from(*band);
+    (1..=options.sh_degree).rev().find(has_begun).and_then(ShDegree::new).unwrap_or_default()
 }
 
 /// Number of Gaussians to have.

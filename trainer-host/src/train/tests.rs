@@ -12,6 +12,7 @@ use crate::{
 
 mod diverged;
 mod exposed;
+mod harmonics;
 mod masked;
 
 /// How far apart two devices may train the same scene in a few steps, dB.

@@ -1,8 +1,9 @@
 //! A trainer fits a scene to photographs, one view per step.
 //!
 //! Every step: a view, the scene posed at its time, a render with gradients, one step of Adam. From time to
-//! time: more pixels, more nodes, more Gaussians ([`super::schedule`] says when, as shares of the training).
-//! The same views, options and shares give the same scene bit for bit, on any number of threads.
+//! time: more pixels, more harmonics, more nodes, more Gaussians ([`super::schedule`] says when, as shares of
+//! the training). The same views, options and shares give the same scene bit for bit, on any number of
+//! threads.
 
 mod results;
 
@@ -100,7 +101,8 @@ fn begun(dataset: &Dataset, options: &TrainOptions) -> Result<(Model, Extent, Tr
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let begun = start::gaussians(&dataset.start, photographs, &extent, &options, &mut rng);
     options.initial_gaussians = begun.gaussians.len().max(1);
-    let gaussians = TrainedGaussians::new(&begun, options.degree());
+    let degree = schedule::degree(&options, 0.0).max(begun.sh_degree.min(options.degree()));
+    let gaussians = TrainedGaussians::new(&begun, degree);
     let count = gaussians.len();
     let nodes = ControlNodes::none(TemporalBasis::default(), extent.half_side as f32);
     let footprint = *options.footprint.get_or_insert(dataset.footprint);
@@ -229,7 +231,7 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// Goes on to more pixels and more nodes where the schedule says so.
+    /// Goes on to more pixels, more bands of the harmonics and more nodes where the schedule says so.
     fn enter_stages(&mut self, progress: f64) {
         let state = &mut self.state;
         let size = self.pyramid.schedule().at(&self.options.schedule, progress);
@@ -237,6 +239,11 @@ impl<'a> Trainer<'a> {
             state.size = size;
             state.pull = ViewGradients::none(state.model.gaussians());
             state.lowest_loss = f64::INFINITY;
+        }
+        let degree = schedule::degree(&self.options, progress);
+        if state.model.gaussians.begin_bands(degree, state.step) {
+            // It is one of fewer bands.
+            state.average = None;
         }
         // While views of other times are new, the loss rises with what they show.
         if schedule::time_span(&self.options.schedule, progress) < 1.0 {

@@ -9,9 +9,33 @@ pub struct DeadlineUtilityConfig {
     /// Longest queue that media may cause on the path
     /// ([`super::super::SenderRequirements::max_queue_delay`]); `None`: as the congestion window allows.
     pub max_queue_delay: Option<Nanos>,
+    /// On a path that loses hardly anything that queue is 9/20 as long
+    /// ([`super::super::SenderRequirements::short_queue`]); otherwise it is the same on every path.
+    pub short_queue: bool,
+    /// A path that was never empty for ten seconds is emptied for about a round trip
+    /// ([`super::super::SenderRequirements::empty_path`]); otherwise never.
+    pub empty_path: bool,
+    /// What would come after its last frame through the queue that media cause themselves is not sent;
+    /// otherwise whatever comes in time over an empty path may be. Without [`Self::max_queue_delay`] no queue
+    /// is counted on.
+    pub skip_late: bool,
     /// Every lost packet competes again for as long as it can show; otherwise lost base packets are repeated
     /// within a budget and nothing else is.
     pub lost_compete: bool,
+    /// A piece counts as if none of its packets could be lost, since what is lost may be sent again;
+    /// otherwise, as in P_g, with the chance that none is, counting the times that a base packet is repeated.
+    pub loss_repaired: bool,
+    /// What needs something in flight counts with the chance that it arrives, which falls while no receipt
+    /// tells of it; otherwise as if it were there.
+    pub survival: bool,
+    /// A piece is scored per byte of it that is still to be sent; otherwise, as in S(g), per byte that is not
+    /// acknowledged, and with U_g.
+    pub rest_only: bool,
+    /// Bytes are those of whole datagrams; otherwise, as in S(g), those of packets alone.
+    pub headers: bool,
+    /// Utility counts as a share of all positive utility of its frame; otherwise a unit of it counts the same
+    /// in every frame.
+    pub frame_share: bool,
     /// A packet is credited with what stands on it; otherwise with what it adds by itself.
     pub credit: bool,
     /// Arrival is predicted from the bytes in flight; otherwise from the last measured round trip.
@@ -28,6 +52,11 @@ pub struct DeadlineUtilityConfig {
     pub opening: bool,
     /// Parity is sent where it saves more than the same bytes of something else; otherwise always.
     pub parity_competes: bool,
+    /// Parity that saves less than this share of what a loss of its members costs is never sent, 0..=1; with
+    /// 0 any may be.
+    pub least_saved: f64,
+    /// Parity is valued by how losses cluster; otherwise as if each were independent of the others.
+    pub parity_bursts: bool,
     /// What the viewer sees of a piece, once it has said where it is, weighs what the piece adds; `None`: as
     /// if nobody had said.
     pub viewport: Option<ViewportConfig>,
@@ -54,7 +83,15 @@ impl Default for DeadlineUtilityConfig {
     fn default() -> Self {
         Self {
             max_queue_delay: Some(Nanos::from_ms(100)),
+            short_queue: true,
+            empty_path: true,
+            skip_late: true,
             lost_compete: true,
+            loss_repaired: true,
+            survival: true,
+            rest_only: true,
+            headers: true,
+            frame_share: true,
             credit: true,
             arrival_from_queue: true,
             base_weight: 0.3,
@@ -62,6 +99,8 @@ impl Default for DeadlineUtilityConfig {
             error_growth: 0.03,
             opening: true,
             parity_competes: true,
+            least_saved: 0.1,
+            parity_bursts: true,
             viewport: Some(ViewportConfig::default()),
             refresh: Nanos::from_ms(200),
             refresh_after_loss: Nanos::from_ms(20),

@@ -29,6 +29,7 @@ pub(super) struct Forecast {
     base_weight: f64,
     delay_weight: f64,
     error_growth: f64,
+    frame_share: bool,
     /// Seconds until the next window is half over; `None` if none begins before the horizon.
     wait_s: Option<f64>,
 }
@@ -66,6 +67,7 @@ impl Forecast {
             base_weight: config.base_weight,
             delay_weight: config.delay_weight,
             error_growth: config.error_growth,
+            frame_share: config.frame_share,
             wait_s: None,
         };
         Self { wait_s: forecast.wait(view.graph, view.horizon_frame), ..forecast }
@@ -120,7 +122,11 @@ impl Forecast {
         let late_spread = spread + self.error_growth * delay_s;
         let (mut soon, mut late) = (0.0, 0.0);
         for part in parts {
-            let (utility, base) = sums.gain(part, self.next_frame);
+            let (utility, base) = if self.frame_share {
+                sums.gain(part, self.next_frame)
+            } else {
+                sums.even_gain(part, self.next_frame)
+            };
             let gain = utility + self.base_weight * base;
             if gain > 0.0 {
                 let first = self.shown_in(part.first.max(self.next_frame)) - expected;

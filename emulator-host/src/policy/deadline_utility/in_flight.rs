@@ -1,4 +1,4 @@
-//! Judges what is in flight: whether it arrives, and what still comes in time behind it.
+//! Judges what is in flight and what is sent next: whether it arrives, and whether in time.
 
 use super::forecast::OVERHEAD_BYTES;
 use crate::{
@@ -9,7 +9,7 @@ use crate::{
 
 /// Whether `packet`, sent at `now` behind what is in flight, comes before its last frame is shown. Of the
 /// queue no more is counted on than `max_queue_delay`, which media cause themselves: a longer one is a
-/// forecast.
+/// forecast. With zero of it, whatever comes in time over an empty path does.
 pub(super) fn arrives_in_time(
     view: &SenderView<'_>,
     packet: PacketIndex,
@@ -28,4 +28,11 @@ pub(super) fn survival(view: &SenderView<'_>, packet: PacketIndex, loss: f64, no
     let spread = view.rtt_variation.as_s().max(1e-3);
     let silent = 1.0 - distribution((age - view.smoothed_rtt.as_s()) / spread);
     1.0 - loss / (loss + (1.0 - loss) * silent.max(1e-9))
+}
+
+/// Probability that `packet`, which waits, is not lost, counting the times that one of the base may be sent
+/// again; `loss` is that of one datagram.
+pub(super) fn arrives_at_all(view: &SenderView<'_>, packet: PacketIndex, loss: f64) -> f64 {
+    let sendings = if view.graph.level(packet) == 0 { 1 + view.retransmissions } else { 1 };
+    1.0 - (0..sendings).fold(1.0, |lost, _| lost * loss)
 }

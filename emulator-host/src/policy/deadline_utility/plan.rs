@@ -11,11 +11,14 @@ use super::{
     bursts::repaired_share,
     config::DeadlineUtilityConfig,
     forecast::{Forecast, OVERHEAD_BYTES},
-    in_flight::{arrives_in_time, survival},
+    in_flight::{arrives_at_all, arrives_in_time, survival},
 };
 use crate::{
     clock::Nanos,
-    graph::{PacketGraph, PacketIndex, pieces::Division},
+    graph::{
+        PacketGraph, PacketIndex,
+        pieces::{Division, Pieces},
+    },
     policy::{PacketStatus, SenderView},
 };
 
@@ -25,6 +28,7 @@ struct Rest {
     waiting: u32,
     waiting_bytes: u32,
     in_flight: u32,
+    in_flight_bytes: u32,
 }
 
 /// A piece, with what of the pieces that stand on it raises its rank.
@@ -70,8 +74,15 @@ impl PartialEq for Ready {
 
 impl Eq for Ready {}
 
-/// Parity that saves less than this share of what a loss of its members costs is never sent.
-const MIN_SAVED: f64 = 0.1;
+/// Bytes of the packets that `piece` alone has, headers included.
+fn own_bytes(pieces: &Pieces, piece: usize) -> u32 {
+    pieces.wire_bytes(piece) + pieces.packets(piece).len() as u32 * OVERHEAD_BYTES
+}
+
+/// Bytes of headers of so many packets that do not count ([`DeadlineUtilityConfig::headers`]).
+fn uncounted_bytes(packets: u32, config: &DeadlineUtilityConfig) -> u32 {
+    if config.headers { 0 } else { packets * OVERHEAD_BYTES }
+}
 
 /// The ranking, and what it is made from.
 #[derive(Debug)]
@@ -93,8 +104,8 @@ pub(super) struct Plan {
     /// Kept, so that plans cost no allocation.
     children: Vec<(f64, Block)>,
     finished: Vec<usize>,
-    /// Longest queue that media cause ([`DeadlineUtilityConfig::max_queue_delay`]); zero if nothing bounds
-    /// it.
+    /// Longest queue that media cause and that may make a packet too late ([`arrives_in_time`]); zero if
+    /// nothing bounds it, or what is late is sent too.
     max_queue_delay: Nanos,
     target: Option<u32>,
     /// Packets at the front of the target of which none waits.
@@ -108,8 +119,7 @@ impl Plan {
         let count = pieces.len();
         let rest = |piece| {
             let waiting = pieces.packets(piece).len() as u32;
-            let waiting_bytes = pieces.wire_bytes(piece) + waiting * OVERHEAD_BYTES;
-            Rest { waiting, waiting_bytes, in_flight: 0 }
+            Rest { waiting, waiting_bytes: own_bytes(pieces, piece), in_flight: 0, in_flight_bytes: 0 }
         };
         Self {
             rest: (0..count).map(rest).collect(),
@@ -140,7 +150,10 @@ impl Plan {
                 rest.waiting -= 1;
                 rest.waiting_bytes -= bytes;
             }
-            PacketStatus::InFlight => rest.in_flight -= 1,
+            PacketStatus::InFlight => {
+                rest.in_flight -= 1;
+                rest.in_flight_bytes -= bytes;
+            }
             PacketStatus::Delivered | PacketStatus::Abandoned => {}
         }
         match after {
@@ -149,19 +162,23 @@ impl Plan {
                 rest.waiting_bytes += bytes;
                 self.done = 0;
             }
-            PacketStatus::InFlight => rest.in_flight += 1,
+            PacketStatus::InFlight => {
+                rest.in_flight += 1;
+                rest.in_flight_bytes += bytes;
+            }
             PacketStatus::Delivered | PacketStatus::Abandoned => {}
         }
     }
 
     /// Ranks what may be sent at `now`.
     pub(super) fn renew(&mut self, view: &SenderView<'_>, config: &DeadlineUtilityConfig, now: Nanos) {
-        self.max_queue_delay = config.max_queue_delay.unwrap_or(Nanos::ZERO);
+        self.max_queue_delay = config.max_queue_delay.filter(|_| config.skip_late).unwrap_or(Nanos::ZERO);
         self.target = None;
         self.ready.clear();
         self.enter(view);
         let forecast = Forecast::new(view, config, now);
-        self.look_down(view, &forecast, now);
+        let loss_in_flight = if config.survival { forecast.loss } else { 0.0 };
+        self.look_down(view, &forecast, loss_in_flight, now);
         self.look_up(view, &forecast, config);
     }
 
@@ -184,9 +201,9 @@ impl Plan {
         self.division.pieces.order()[place as usize] as usize
     }
 
-    /// From what is needed to what needs it: what is sent, what is missing, what may be lost. Drops what is
-    /// done or past.
-    fn look_down(&mut self, view: &SenderView<'_>, forecast: &Forecast, now: Nanos) {
+    /// From what is needed to what needs it: what is sent, what is missing, what may be lost, where one
+    /// datagram in flight is with the probability `loss`. Drops what is done or past.
+    fn look_down(&mut self, view: &SenderView<'_>, forecast: &Forecast, loss: f64, now: Nanos) {
         let mut open = std::mem::take(&mut self.open);
         open.retain(|place| {
             let piece = self.piece_at(*place);
@@ -207,7 +224,7 @@ impl Plan {
             if rest.in_flight > 0 {
                 for packet in self.division.pieces.packets(piece) {
                     if view.status[packet.at()] == PacketStatus::InFlight {
-                        chance *= survival(view, packet, forecast.loss, now);
+                        chance *= survival(view, packet, loss, now);
                     }
                 }
             }
@@ -227,11 +244,7 @@ impl Plan {
             if self.sent[piece] {
                 continue;
             }
-            let rest = self.rest[piece];
-            let parts = self.division.pieces.parts(piece);
-            let value = forecast.value(parts, &self.division.sums, rest.waiting_bytes)
-                * config.viewport_weight(view, parts);
-            let mut block = Block { value: value * self.chance[piece], bytes: f64::from(rest.waiting_bytes) };
+            let mut block = self.own_block(piece, view, forecast, config);
             if config.credit {
                 self.add_dependents(piece, &mut block);
             }
@@ -240,6 +253,36 @@ impl Plan {
                 self.push(place);
             }
         }
+    }
+
+    /// `piece` by itself: what it is expected to add, and the bytes that count for it.
+    fn own_block(
+        &self,
+        piece: usize,
+        view: &SenderView<'_>,
+        forecast: &Forecast,
+        config: &DeadlineUtilityConfig,
+    ) -> Block {
+        let rest = self.rest[piece];
+        let pieces = &self.division.pieces;
+        let parts = pieces.parts(piece);
+        let value = forecast.value(parts, &self.division.sums, rest.waiting_bytes)
+            * config.viewport_weight(view, parts);
+        let bytes = rest.waiting_bytes - uncounted_bytes(rest.waiting, config);
+        let mut block = Block { value: value * self.chance[piece], bytes: f64::from(bytes) };
+        if !config.rest_only {
+            let own = own_bytes(pieces, piece);
+            let begun = if own > 0 { 1.0 - f64::from(rest.waiting_bytes) / f64::from(own) } else { 0.0 };
+            // U_g; its ½ is the same for all.
+            block.value *= 1.0 + begun;
+            block.bytes += f64::from(rest.in_flight_bytes - uncounted_bytes(rest.in_flight, config));
+        }
+        if !config.loss_repaired {
+            let waiting =
+                pieces.packets(piece).filter(|packet| view.status[packet.at()] == PacketStatus::Waiting);
+            block.value *= waiting.map(|packet| arrives_at_all(view, packet, forecast.loss)).product::<f64>();
+        }
+        block
     }
 
     fn add_dependents(&mut self, piece: usize, block: &mut Block) {
@@ -375,124 +418,18 @@ impl Plan {
             saved += forecast.loss * (soon - late) * weight;
             value += forecast.loss * soon * weight;
         }
-        saved *= repaired_share(view, set);
+        if config.parity_bursts {
+            saved *= repaired_share(view, set);
+        }
         // Repetition is cheaper: it costs bytes only where something was lost.
-        if saved < MIN_SAVED * value {
+        if saved < config.least_saved * value {
             return 0.0;
         }
         // Sent later, parity saves nothing any more: a delay costs all of it.
-        forecast.urgent(saved) / f64::from(u32::from(facts.wire_bytes) + OVERHEAD_BYTES)
+        let bytes = u32::from(facts.wire_bytes) + OVERHEAD_BYTES - uncounted_bytes(1, config);
+        forecast.urgent(saved) / f64::from(bytes)
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use codec_core::internals::ids::{ClusterId, Group as GroupId, Level, PacketId, Span, WindowId};
-
-    use super::*;
-    use crate::{
-        clock::Rate,
-        graph::{ClosureRule, GraphParts, Group, GroupIndex, Packet},
-        startup::StartupRule,
-    };
-
-    /// Groups of one packet each: (level, bytes, utility, needs).
-    fn graph(groups: &[(u8, u16, f64, &[u32])]) -> PacketGraph {
-        let packet = |at: usize, bytes| Packet {
-            id: PacketId::new(at as u32).unwrap(),
-            wire_bytes: bytes,
-            groups: vec![GroupIndex(at as u32)],
-            needs_packets: Vec::new(),
-            parity_of: None,
-        };
-        let group = |at: usize, level, utility, needs: &[u32]| Group {
-            id: GroupId {
-                span: Span::Motion(WindowId(0)),
-                cluster: ClusterId(at as u16),
-                level: Level::new(level).unwrap(),
-            },
-            first_frame: 0,
-            last_frame: 99,
-            needs: needs.iter().map(|need| GroupIndex(*need)).collect(),
-            packets: vec![PacketIndex(at as u32)],
-            utility,
-            risk_adjusted: utility,
-            place: None,
-        };
-        let rows = || groups.iter().enumerate();
-        PacketGraph::new(GraphParts {
-            packets: rows().map(|(at, row)| packet(at, row.1)).collect(),
-            groups: rows().map(|(at, row)| group(at, row.0, row.2, row.3)).collect(),
-            repair_sets: Vec::new(),
-            frames: 100,
-            frame_interval: Nanos::from_ms(33),
-            manifest_bytes: 0,
-            profile: ClosureRule::AllOrNothing,
-        })
-        .unwrap()
-    }
-
-    fn view<'a>(graph: &'a PacketGraph, status: &'a [PacketStatus], sent_at: &'a [Nanos]) -> SenderView<'a> {
-        SenderView {
-            graph,
-            status,
-            sent_at,
-            playout_start: Nanos::from_s(1),
-            playing: false,
-            horizon_frame: 100,
-            rate: Rate::from_mbps(1),
-            smoothed_rtt: Nanos::from_ms(50),
-            rtt_variation: Nanos::from_ms(5),
-            minimum_rtt: Nanos::from_ms(40),
-            in_flight: 0,
-            loss: 0.01,
-            loss_after_loss: 0.01,
-            sent_number: &[],
-            startup: StartupRule::AfterWait,
-            retransmissions: 2,
-            viewpoint: None,
-        }
-    }
-
-    fn first(graph: &PacketGraph, config: &DeadlineUtilityConfig) -> PacketIndex {
-        let count = graph.packets().len();
-        let (status, sent_at) = (vec![PacketStatus::Waiting; count], vec![Nanos::ZERO; count]);
-        let view = view(graph, &status, &sent_at);
-        let mut plan = Plan::new(graph);
-        plan.renew(&view, config, Nanos::ZERO);
-        plan.next(&view, Nanos::ZERO).unwrap()
-    }
-
-    /// A large ancestor that adds little by itself stands under three that add much: together they add more
-    /// per byte than the rival.
-    #[test]
-    fn an_ancestor_is_credited_with_what_stands_on_it() {
-        let graph = graph(&[
-            (1, 900, 0.01, &[]),
-            (1, 100, 1.0, &[0]),
-            (1, 100, 1.0, &[0]),
-            (1, 100, 1.0, &[0]),
-            (1, 700, 1.0, &[]),
-        ]);
-        let config = DeadlineUtilityConfig::default();
-        assert_eq!(first(&graph, &config), PacketIndex(0));
-        assert_eq!(first(&graph, &DeadlineUtilityConfig { credit: false, ..config }), PacketIndex(4));
-    }
-
-    #[test]
-    fn what_adds_nothing_is_never_sent() {
-        let graph = graph(&[(1, 100, -1.0, &[]), (1, 1000, 1e-6, &[])]);
-        assert_eq!(first(&graph, &DeadlineUtilityConfig::default()), PacketIndex(1));
-    }
-
-    #[test]
-    fn what_is_in_flight_counts_less_the_longer_no_receipt_tells_of_it() {
-        let graph = graph(&[(0, 100, 1.0, &[])]);
-        let (status, sent_at) = (vec![PacketStatus::InFlight], vec![Nanos::ZERO]);
-        let view = view(&graph, &status, &sent_at);
-        let chance = |ms| survival(&view, PacketIndex(0), 0.05, Nanos::from_ms(ms));
-        let falling: Vec<f64> = (0..40).map(|step| chance(10 * step)).collect();
-        assert!(falling.windows(2).all(|pair| pair[0] >= pair[1]), "{falling:?}");
-        assert!(falling[0] > 0.94 && falling[39] < 0.2, "{falling:?}");
-    }
-}
+mod tests;

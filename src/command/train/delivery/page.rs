@@ -18,11 +18,12 @@ use crate::report::{
 pub(super) fn section(record: &Record, seconds: f64, damage: &Damage) -> Result<String> {
     let registration = &record.registration;
     let mut out = format!(
-        "<h2>Fine-tuning for delivery</h2>\n<p>{} of {} updates of variant {} in {:.1} minutes.</p>\n",
+        "<h2>Fine-tuning for delivery</h2>\n<p>{} of {} updates of variant {} in {:.1} minutes on {}.</p>\n",
         record.objective.len(),
         registration.options.updates,
         registration.options.variant.name(),
-        seconds / 60.0
+        seconds / 60.0,
+        escape(&record.device)
     );
     if !record.objective.is_empty() {
         out += &curves(record);

@@ -3,6 +3,7 @@
 use std::ops::{ControlFlow, RangeInclusive};
 
 use anyhow::{Context, Result, anyhow, bail};
+use render_host::Backend;
 use serde::{Deserialize, Serialize};
 use trainer_host::{
     Scene,
@@ -51,7 +52,7 @@ pub(super) fn chosen(
     folder: &Folder,
     scene: &Scene,
     references: &[Reference],
-    options: &DeliveryOptions,
+    (options, backend): (&DeliveryOptions, &Backend),
     stop: &Interruption,
     quiet: Quiet,
 ) -> Result<RankChoice> {
@@ -73,7 +74,8 @@ pub(super) fn chosen(
     let mut measured = begun(args, folder, of, &runs)?;
     let bar = Progress::new("choose the rank", quiet.0);
     for (at, &(rank, seed)) in runs.iter().enumerate().skip(measured.results.len()) {
-        let result = measure_rank(scene, &training, &validation, &options, (rank, seed), &|update| {
+        let run = (rank, seed);
+        let result = measure_rank(scene, &training, &validation, &options, run, backend, &|update| {
             stop.leave("ranks.json has the ranks that were measured: --resume goes on");
             let share = update.updates as f64 / update.of.max(1) as f64;
             let stage = format!("rank {rank}, seed {seed}: {} of {}", at + 1, runs.len());

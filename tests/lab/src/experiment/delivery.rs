@@ -13,7 +13,7 @@ use trainer_host::{
     evaluator,
     train::delivery::{
         ChannelRanges, DeliveryOptions, Evaluation, FineTuned, LossModel, LossUnit, Masks, Reference,
-        Validation, Variant,
+        Validation, Variant, fine_tune,
     },
     viewpoint::{Framing, Ring},
 };
@@ -182,7 +182,8 @@ impl Study {
     /// # Errors
     /// What training refuses.
     pub(super) fn train(&self, options: &DeliveryOptions) -> Result<FineTuned> {
-        Ok(trainer_host::train::delivery::fine_tune(&self.scene, &self.training, options, &|_| Continue(()))?)
+        let (scene, training) = (&self.scene, &self.training);
+        Ok(fine_tune(scene, training, options, &Backend::Cpu, &|_| Continue(()))?)
     }
 
     /// Options of `variant` at this study's size; the last scene is taken.

@@ -45,15 +45,16 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let network = network.as_ref();
     let sheet = Study::make(size)?;
     let words = size.words();
-    let pairs = measure(&mut bench, ("", &words), &sheet, network)?;
-    groups(&mut bench, &sheet, &pairs, network)?;
+    let with = (setup, network);
+    let pairs = measure(&mut bench, ("", &words), &sheet, with)?;
+    groups(&mut bench, &sheet, &pairs, with)?;
     clean_heavier(&mut bench, &sheet, &pairs)?;
     drop(pairs);
     let sheet = sheet.protected(Protection::STANDARD)?;
-    measure(&mut bench, ("repaired.", "the same"), &sheet, network)?;
+    measure(&mut bench, ("repaired.", "the same"), &sheet, with)?;
     let sheet = sheet.protected(Protection::STRONG)?;
-    measure(&mut bench, ("strong.", "the same"), &sheet, network)?;
-    measure(&mut bench, ("full.", "the same"), &sheet.protected(Protection::FULL)?, network)?;
+    measure(&mut bench, ("strong.", "the same"), &sheet, with)?;
+    measure(&mut bench, ("full.", "the same"), &sheet.protected(Protection::FULL)?, with)?;
     if setup.quick {
         return Ok(bench);
     }
@@ -61,14 +62,14 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     if let Some(path) = setup.data(folder, &mut bench)? {
         let study = Study::of_photographs(&path, Size { seeds: 1, ..size })?;
         let words = study.photographs_in_words(name);
-        measure(&mut bench, ("bouncingballs.", &words), &study, network)?;
+        measure(&mut bench, ("bouncingballs.", &words), &study, with)?;
         let mut study = study;
         let levels =
             [("repaired", Protection::STANDARD), ("strong", Protection::STRONG), ("full", Protection::FULL)];
         for (prefix, repair) in levels {
             study = study.protected(repair)?;
             let words = format!("the same, {} packets", study.encoded.stream.packets().len());
-            measure(&mut bench, (&format!("bouncingballs.{prefix}."), &words), &study, network)?;
+            measure(&mut bench, (&format!("bouncingballs.{prefix}."), &words), &study, with)?;
         }
     }
     Ok(bench)
@@ -131,7 +132,7 @@ fn measure(
     bench: &mut Bench,
     (prefix, words): (&str, &str),
     study: &Study,
-    network: Option<&Network>,
+    with: (&Setup, Option<&Network>),
 ) -> Result<Vec<[FineTuned; 2]>> {
     let losses = IID_PERCENT.map(independent).into_iter().chain(BURST_PERCENT.map(in_bursts));
     let drawn = drawn(study, losses, LossUnit::Packet)?;
@@ -147,7 +148,7 @@ fn measure(
         let complete = DeliveryOptions { views: worlds, worlds: 1, ..options(Variant::Reconstruction) };
         pairs.push([study.train(&options(Variant::Combined))?, study.train(&complete)?]);
     }
-    compare(bench, prefix, study, (&pairs, &drawn), network)?;
+    compare(bench, prefix, study, (&pairs, &drawn), with)?;
     Ok(pairs)
 }
 
@@ -156,12 +157,12 @@ fn groups(
     bench: &mut Bench,
     study: &Study,
     pairs: &[[FineTuned; 2]],
-    network: Option<&Network>,
+    with: (&Setup, Option<&Network>),
 ) -> Result<()> {
     let drawn = drawn(study, GROUP_PERCENT.map(independent), LossUnit::Group)?;
     let hashes = hashes(&drawn);
     bench.also(&format!("; groups.*: the same scenes, completion groups are lost whole (FNV-1a: {hashes})"));
-    compare(bench, "groups.", study, (pairs, &drawn), network)
+    compare(bench, "groups.", study, (pairs, &drawn), with)
 }
 
 /// Adds the figures of an objective that heeds the complete state more, beside those of the mixed one, the
@@ -193,9 +194,10 @@ fn compare(
     prefix: &str,
     study: &Study,
     (pairs, drawn): (&[[FineTuned; 2]], &[(String, Masks)]),
-    network: Option<&Network>,
+    (setup, network): (&Setup, Option<&Network>),
 ) -> Result<()> {
     for (name, masks) in drawn {
+        let first = bench.figures.len();
         let mut found: [Vec<Tested>; 2] = Default::default();
         for pair in pairs {
             for (found, tuned) in found.iter_mut().zip(pair) {
@@ -205,6 +207,7 @@ fn compare(
             }
         }
         push(bench, &format!("{prefix}{name}"), &found);
+        setup.show(bench, first);
     }
     Ok(())
 }
@@ -343,7 +346,7 @@ mod tests {
         let complete = study.train(&validated(&study, Variant::Reconstruction, 1)).unwrap();
         let mut bench = Bench::new("erasure", "test");
         let pairs = [[trained, complete]];
-        groups(&mut bench, &study, &pairs, None).unwrap();
+        groups(&mut bench, &study, &pairs, (&setup, None)).unwrap();
         clean_heavier(&mut bench, &study, &pairs).unwrap();
         for key in ["groups.iid5.psnr", "groups.iid10.worst10", "groups.iid10.flip"] {
             assert_eq!(value(&bench, key).peer.as_deref(), Some("untrained"), "{key}");

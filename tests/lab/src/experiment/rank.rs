@@ -4,6 +4,7 @@
 use std::ops::ControlFlow;
 
 use anyhow::{Context, Result};
+use render_host::Backend;
 use trainer_host::{
     encode,
     train::delivery::{DeliveryOptions, RankResult, Update, Variant, choose_rank, measure_rank},
@@ -63,8 +64,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut results = Vec::new();
     for (&rank, &seed) in ranks.iter().flat_map(|rank| seeds.iter().map(move |seed| (rank, seed))) {
         let went_on = |_: &Update| ControlFlow::Continue(());
-        let run = (rank, seed);
-        results.extend(measure_rank(&study.scene, &training, &validation, &options, run, &went_on)?);
+        let (scene, run) = (&study.scene, (rank, seed));
+        let on = &Backend::Cpu;
+        results.extend(measure_rank(scene, &training, &validation, &options, run, on, &went_on)?);
     }
     let mut table = String::from("rank,seed,clean_db,burst5_p10_db,burst5_worst10_db,wire_bytes\n");
     for r in &results {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use render_host::{CameraError, ImageError, RenderError, SplatsError, adjoint::AdjointError};
+use render_host::{BackendError, CameraError, ImageError, RenderError, SplatsError};
 
 use crate::{encode::EncodeError, scene::SceneError};
 
@@ -90,9 +90,9 @@ pub enum DeliveryError {
     /// Pictures that cannot be compared.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// Gradients that cannot be computed.
+    /// Gradients that cannot be computed, or a graphics device that draws no state.
     #[error(transparent)]
-    Gradients(#[from] AdjointError),
+    Device(#[from] BackendError),
     /// Worlds that cannot be rendered together.
     #[error(transparent)]
     Worlds(#[from] render_host::counterfactual::CounterfactualError),

@@ -3,12 +3,13 @@
 use std::ops::ControlFlow;
 
 use rand::seq::SliceRandom;
-use render_host::Settings;
+use render_host::{Backend, Settings};
 
 use super::{
     channel::LossModel,
     coded::Coded,
     config::{DeliveryOptions, LearningRates, Variant, Weights},
+    drawing::Drawing,
     error::DeliveryError,
     evaluate::evaluate_coded,
     gradient::Gradient,
@@ -64,21 +65,28 @@ pub struct FineTuned {
 ///
 /// Every `validation.every`-th reference, and states from seeds of their own, are for validation alone.
 ///
+/// Pictures of states and their gradients are made by `backend`; validation runs on the processor with any,
+/// so that candidates are compared by one rule. A backend gives the same result bit for bit each time. That
+/// of another one differs as its roundings do: gradients of an update agree to 1e-3 (relative L2 distance),
+/// except where a rounding decides on which side of a cut-off a splat falls.
+///
 /// # Errors
 /// An option out of range, references that do not fit the scene or are too few, a file of states that does
 /// not fit, a registration that cannot be written, an objective that is not finite; what encoder and renderer
-/// refuse.
+/// refuse, or no memory on the graphics device.
 pub fn fine_tune(
     scene: &Scene,
     references: &[Reference],
     options: &DeliveryOptions,
+    backend: &Backend,
     progress: &dyn Fn(&Update) -> ControlFlow<()>,
 ) -> Result<FineTuned, DeliveryError> {
-    resume(scene, references, options, None, &|update, _| progress(update))
+    resume(scene, references, options, backend, None, &|update, _| progress(update))
 }
 
 /// As [`fine_tune`], from where `begun` is; `progress` hears of every update where the fine-tuning is then.
-/// Broken off after any update and gone on with from there, it gives what it gives without.
+/// Broken off after any update and gone on with from there on the same backend, it gives what it gives
+/// without, bit for bit. Between two updates it may go from one backend to another, too.
 ///
 /// # Errors
 /// As [`fine_tune`]; a fine-tuning that was begun with another scene, other references or options.
@@ -86,10 +94,12 @@ pub fn resume(
     scene: &Scene,
     references: &[Reference],
     options: &DeliveryOptions,
+    backend: &Backend,
     begun: Option<Tuning>,
     progress: &dyn Fn(&Update, &Tuning) -> ControlFlow<()>,
 ) -> Result<FineTuned, DeliveryError> {
     options.check()?;
+    let mut drawing = Drawing::on(backend)?;
     let (training, validation) = split(references, options)?;
     let settings = Settings::default().with_footprint(scene.footprint);
     let views = views(scene, &training, &settings)?;
@@ -152,7 +162,8 @@ pub fn resume(
         if update == options.updates {
             break;
         }
-        let (terms, gradient, heard) = run.step(update, &coded, (&at.parameters, &rate_model), &settings)?;
+        let now = (&at.parameters, &rate_model);
+        let (terms, gradient, heard) = run.step(update, &coded, now, &mut drawing, &settings)?;
         if !heard.objective.is_finite() {
             return Err(DeliveryError::Diverged { update, found: heard.objective });
         }
@@ -180,6 +191,7 @@ pub fn resume(
     let record = Record {
         registration,
         worlds,
+        device: backend.name(),
         objective: at.objective,
         terms: at.terms,
         taken: select(&at.candidates),
@@ -361,6 +373,7 @@ impl Training<'_> {
         update: usize,
         coded: &Coded,
         (parameters, rate_model): (&Parameters, &RateModel),
+        drawing: &mut Drawing,
         settings: &Settings,
     ) -> Result<(Terms, Gradient, Update), DeliveryError> {
         let (_, weights) = self.objective_of(update);
@@ -375,7 +388,8 @@ impl Training<'_> {
             arrived += share * states.iter().map(|s| share_arrived(s)).sum::<f64>() / states.len() as f64;
             let worlds = Worlds { states: &states, prefixes: &self.prefixes };
             let view = self.view(update, view);
-            let found = objective::differentiate(&moving, &worlds, view, &weights, settings, &mut gradient)?;
+            let sum = &mut gradient;
+            let found = objective::differentiate(&moving, &worlds, view, &weights, drawing, settings, sum)?;
             terms.add(&found, share);
         }
         gradient.scale(share);

@@ -17,11 +17,6 @@ impl Gradient {
         Self { parameters: vec![[0.0; COMPONENTS]; count], steps: vec![PerClass::default(); rows] }
     }
 
-    /// Zeros for as many.
-    pub(super) fn empty_like(other: &Self) -> Self {
-        Self::zeros(other.parameters.len(), other.steps.len())
-    }
-
     /// Adds `other`, entry by entry.
     pub(super) fn add(&mut self, other: &Self) {
         let add = |sum: &mut f64, value: &f64| *sum += value;

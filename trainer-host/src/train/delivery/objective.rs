@@ -3,15 +3,15 @@
 
 use std::collections::BTreeMap;
 
-use rayon::prelude::*;
 use render_host::{
-    Settings,
-    adjoint::{Gradients, Workspace, loss::Distortion, loss::Mse, render_and_gradients_into},
+    Gradients, Image, Settings,
+    adjoint::loss::{Distortion, Mse},
 };
 
 use super::{
     coded::{Moving, Shown},
     config::Weights,
+    drawing::{Drawing, StateRenderer},
     error::DeliveryError,
     gradient::Gradient,
     monotone::{self, PREFIXES},
@@ -20,9 +20,6 @@ use super::{
     temporal::{self, WorldLoss},
     view::View,
 };
-
-/// Worlds that are differentiated at once, on any number of threads.
-const AT_ONCE: usize = 4;
 
 /// The terms of the objective of one update, before weights: what the paper's section 4 names. D is
 /// `MSE + structure (1 − SSIM)`.
@@ -97,15 +94,16 @@ struct Slopes {
 
 /// Terms of `worlds` in `view`, but for the rate, and the gradient of their sum weighted by `weights`: added
 /// to `gradient`. All worlds are measured together, so that the tail is known; then each is differentiated
-/// with its own weight.
+/// with its own weight. Pictures and their gradients are made by `drawing`.
 ///
 /// # Errors
-/// What the renderer refuses.
+/// What the renderer refuses, or no memory on the graphics device.
 pub(super) fn differentiate(
     moving: &Moving<'_>,
     worlds: &Worlds<'_>,
     view: &View,
     weights: &Weights,
+    drawing: &mut Drawing,
     settings: &Settings,
     gradient: &mut Gradient,
 ) -> Result<Terms, DeliveryError> {
@@ -118,11 +116,10 @@ pub(super) fn differentiate(
         Vec::new()
     };
     let states = distinct.states;
-    let settings = Settings { parallel: false, background: view.background, ..settings.clone() };
-    let shared = SharedWorlds::new(moving, view.frame, &states)?;
-    let distortions = shared
-        .measured(&view.camera, &settings, |image| distortion(image, &view.picture, weights.structure))?;
-    drop(shared);
+    // Few states are at work on a graphics device: the loss of each is spread over threads.
+    let parallel = matches!(drawing, Drawing::Gpu(_));
+    let settings = Settings { parallel, background: view.background, ..settings.clone() };
+    let distortions = distortions(moving, &states, view, weights.structure, drawing, &settings)?;
 
     let mut terms = Terms::default();
     let mut slopes = vec![Slopes::default(); states.len()];
@@ -153,24 +150,50 @@ pub(super) fn differentiate(
     let against = Distortion::weighted(view.picture.clone(), weights.structure);
     let counted = |slopes: &Slopes| slopes.distortion > 0.0 || slopes.temporal > 0.0;
     let jobs: Vec<usize> = (0..states.len()).filter(|&s| counted(&slopes[s])).collect();
-    for jobs in jobs.chunks(AT_ONCE) {
-        let found: Result<Vec<_>, DeliveryError> = jobs
-            .par_iter()
-            .map(|&s| {
-                let mut own = Gradient::empty_like(gradient);
-                let world = World { moving, view, settings: &settings, state: &states[s] };
-                let temporal = world.differentiate(slopes[s], &against, &mut own)?;
-                Ok((temporal, own))
-            })
-            .collect();
-        for (&s, (temporal, own)) in jobs.iter().zip(found?) {
+    let (count, rows) = (gradient.parameters.len(), gradient.steps.len());
+    drawing.for_each(
+        &jobs,
+        |renderer, s| {
+            let mut own = Gradient::zeros(count, rows);
+            let world = World { moving, view, settings: &settings, state: &states[s] };
+            let temporal = world.differentiate(renderer, slopes[s], &against, &mut own)?;
+            Ok((temporal, own))
+        },
+        |s, (temporal, own)| {
             if weights.temporal > 0.0 {
                 terms.temporal += temporal * slopes[s].temporal / weights.temporal;
             }
             gradient.add(&own);
-        }
-    }
+        },
+    )?;
     Ok(terms)
+}
+
+/// D of each of `states` in `view`: on the processor together, on a graphics device one by one.
+fn distortions(
+    moving: &Moving<'_>,
+    states: &[Vec<u8>],
+    view: &View,
+    structure: f64,
+    drawing: &mut Drawing,
+    settings: &Settings,
+) -> Result<Vec<f64>, DeliveryError> {
+    let measure = |image: &Image| distortion(image, &view.picture, structure);
+    if matches!(drawing, Drawing::Cpu) {
+        let shared = SharedWorlds::new(moving, view.frame, states)?;
+        return shared.measured(&view.camera, settings, measure);
+    }
+    let all: Vec<usize> = (0..states.len()).collect();
+    let mut found = Vec::with_capacity(states.len());
+    drawing.for_each(
+        &all,
+        |renderer, s| {
+            let shown = moving.shown(&mut moving.coded().player(), &states[s], view.frame)?;
+            measure(&renderer.picture(&shown.splats()?, &view.camera, settings)?)
+        },
+        |_, distortion| found.push(distortion),
+    )?;
+    Ok(found)
 }
 
 /// One state in one view.
@@ -186,12 +209,12 @@ impl World<'_> {
     /// weight.
     fn differentiate(
         &self,
+        renderer: &mut StateRenderer,
         slopes: Slopes,
         against: &Distortion,
         gradient: &mut Gradient,
     ) -> Result<f64, DeliveryError> {
         let Self { view, .. } = self;
-        let mut workspace = Workspace::new();
         let mut player = self.moving.coded().player();
         let shown = self.moving.shown(&mut player, self.state, view.frame)?;
         let mut loss = WorldLoss { distortion: Some((slopes.distortion, against)), change: None };
@@ -199,31 +222,28 @@ impl World<'_> {
         if slopes.temporal > 0.0
             && let Some(change) = &view.change
         {
-            let picture =
-                render_host::Renderer::new().render(&shown.splats()?, &view.camera, self.settings)?.image;
+            let picture = renderer.picture(&shown.splats()?, &view.camera, self.settings)?;
             let target = temporal::after(&picture, change)?;
             let next = self.moving.shown(&mut player, self.state, view.frame + 1)?;
             let of_next = WorldLoss { distortion: None, change: Some((slopes.temporal, Mse::new(target))) };
-            let found = self.pull(&mut workspace, &next, view.frame + 1, &of_next, gradient)?;
+            let found = self.pull(renderer, &next, view.frame + 1, &of_next, gradient)?;
             value = found.loss / slopes.temporal;
             let target = temporal::before(&found.rendered.image, change)?;
             loss.change = Some((slopes.temporal, Mse::new(target)));
         }
-        self.pull(&mut workspace, &shown, view.frame, &loss, gradient)?;
+        self.pull(renderer, &shown, view.frame, &loss, gradient)?;
         Ok(value)
     }
 
     fn pull(
         &self,
-        workspace: &mut Workspace,
+        renderer: &mut StateRenderer,
         shown: &Shown,
         frame: u32,
         loss: &WorldLoss<'_>,
         gradient: &mut Gradient,
     ) -> Result<Gradients, DeliveryError> {
-        let mut found = Gradients::default();
-        let splats = shown.splats()?;
-        render_and_gradients_into(workspace, &splats, &self.view.camera, self.settings, loss, &mut found)?;
+        let found = renderer.gradients(&shown.splats()?, &self.view.camera, self.settings, loss)?;
         self.moving.pull(shown, &found.splats, (self.state, frame), gradient);
         Ok(found)
     }

@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 
 use codec_core::internals::digest::Digest;
+use render_host::Backend;
 
 use super::{
     config::DeliveryOptions,
@@ -52,7 +53,8 @@ const RULE: &str = "the highest mean 0.10 quantile of PSNR over validation state
 const EQUAL_DB: f64 = 0.02;
 
 /// Fine-tunes `scene` under `options` at one rank with one seed, and measures it on `validation`: bursts of
-/// 5 % loss drawn on that rank's own stream with the seed of the training. `None` where `progress` ends it.
+/// 5 % loss drawn on that rank's own stream with the seed of the training. Its updates run on `backend`.
+/// `None` where `progress` ends it.
 ///
 /// # Errors
 /// As [`fine_tune`].
@@ -62,12 +64,13 @@ pub fn measure_rank(
     validation: &[Reference],
     options: &DeliveryOptions,
     (rank, seed): (usize, u64),
+    backend: &Backend,
     progress: &dyn Fn(&Update) -> ControlFlow<()>,
 ) -> Result<Option<RankResult>, DeliveryError> {
     let mut options = DeliveryOptions { seed, registration: None, ..options.clone() };
     options.encode.rank = rank;
     options.validation = Validation { candidates: 0, ..options.validation };
-    let tuned = fine_tune(scene, references, &options, progress)?;
+    let tuned = fine_tune(scene, references, &options, backend, progress)?;
     if tuned.record.objective.len() < options.updates {
         return Ok(None);
     }

@@ -72,6 +72,10 @@ pub struct Record {
     pub registration: Preregistration,
     /// Hash of all worlds of all updates, in order.
     pub worlds: String,
+    /// The device that drew and differentiated states in the run that ended the fine-tuning, as
+    /// [`render_host::Backend::name`] says it; empty in files that do not say.
+    #[serde(default)]
+    pub device: String,
     /// Objective of each update.
     pub objective: Vec<f64>,
     /// Its terms, update by update.
@@ -86,5 +90,29 @@ impl Record {
     /// The scene as it was given, and the candidate that was taken; `None` without validation.
     pub fn before_and_taken(&self) -> Option<(&Candidate, &Candidate)> {
         Some((self.candidates.first()?, self.candidates.get(self.taken?)?))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_that_names_no_device_is_read() {
+        let masks = Masks { states: Vec::new() };
+        let record = Record {
+            registration: Preregistration::of(&DeliveryOptions::default(), &masks, 7),
+            worlds: hex(8),
+            device: "cpu".to_owned(),
+            objective: vec![0.5],
+            terms: vec![Terms::default()],
+            candidates: Vec::new(),
+            taken: None,
+        };
+        let mut json = serde_json::to_value(&record).unwrap();
+        assert_eq!(serde_json::from_value::<Record>(json.clone()).unwrap(), record);
+        assert_eq!(json.as_object_mut().unwrap().remove("device"), Some("cpu".into()));
+        let read: Record = serde_json::from_value(json).unwrap();
+        assert_eq!(read, Record { device: String::new(), ..record });
     }
 }

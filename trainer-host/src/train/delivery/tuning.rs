@@ -1,4 +1,4 @@
-//! A fine-tuning between two updates: it goes on from there bit for bit.
+//! A fine-tuning between two updates: on the same device it goes on from there bit for bit.
 //!
 //! The bytes of a file are little-endian: `DGSTUNED`, u16 version, u32 CRC-32 of what follows, then the
 //! numbers in the postcard format.

@@ -113,7 +113,15 @@ fn schedulers() -> Vec<(String, Option<PolicyKind>, DeadlineUtilityConfig)> {
         PolicyKind::ALL.into_iter().map(|kind| (kind.name().to_owned(), Some(kind), full)).collect();
     let without = [
         ("own_queue", DeadlineUtilityConfig { max_queue_delay: None, ..full }),
+        ("short_queue", DeadlineUtilityConfig { short_queue: false, ..full }),
+        ("empty_path", DeadlineUtilityConfig { empty_path: false, ..full }),
+        ("skip_late", DeadlineUtilityConfig { skip_late: false, ..full }),
         ("lost_compete", DeadlineUtilityConfig { lost_compete: false, ..full }),
+        ("loss_repaired", DeadlineUtilityConfig { loss_repaired: false, ..full }),
+        ("survival", DeadlineUtilityConfig { survival: false, ..full }),
+        ("rest_only", DeadlineUtilityConfig { rest_only: false, ..full }),
+        ("headers", DeadlineUtilityConfig { headers: false, ..full }),
+        ("frame_share", DeadlineUtilityConfig { frame_share: false, ..full }),
         ("credit", DeadlineUtilityConfig { credit: false, ..full }),
         ("arrival_from_queue", DeadlineUtilityConfig { arrival_from_queue: false, ..full }),
         ("base_weight", DeadlineUtilityConfig { base_weight: 0.0, ..full }),

@@ -16,6 +16,7 @@ use trainer_host::{
     encode::Protection,
     evaluator,
     stream::PacketMap,
+    utility,
     viewpoint::{Framing, Ring},
 };
 
@@ -86,6 +87,7 @@ pub(super) fn run(bench: &mut Bench, setup: &Setup, channels: &[Channel]) -> Res
 pub(super) struct Study {
     stream: Stream,
     map: PacketMap,
+    table: utility::Table,
     graph: PacketGraph,
     camera: Camera,
     frames: Frames,
@@ -106,7 +108,14 @@ impl Study {
         let settings = Settings::default();
         let references = evaluator::references(scene, &frames.all, &camera, &settings, &Backend::Cpu)?;
         let network = watched::network(setup)?;
-        Ok(Self { stream, map, graph, camera, frames, references, network })
+        Ok(Self { stream, map, table, graph, camera, frames, references, network })
+    }
+
+    /// The stream with the gains of its bases as they were measured one by one.
+    fn graph_of_unscaled_gains(&self) -> Result<PacketGraph> {
+        let mut table = self.table.clone();
+        table.groups.iter_mut().for_each(|group| group.together = None);
+        pipeline::graph(&self.stream, &self.map, Some(&table))
     }
 
     /// Bytes of the stream, parity included, and the length of its clip.
@@ -214,14 +223,15 @@ impl LiveLink {
 fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, scene: &Scene) -> Result<()> {
     let Size { windows, pictures, .. } = size(setup);
     let study = Study::make(scene, setup, pictures)?;
+    let variants = ablations::variants(&study.graph, study.graph_of_unscaled_gains()?)?;
     let both = study.each_link(channels, windows, |link| {
-        let without = link.window(ablations::runs(&study.graph, &link.session)?);
+        let without = link.window(ablations::runs(&variants, &study.graph, &link.session)?);
         Ok((study.compare_over(link)?, without))
     })?;
     let (results, without): (Vec<Limited>, Vec<_>) = both.into_iter().unzip();
     push(bench, &format!("pictures.{name}"), &results);
     push_verdicts(bench, &format!("pictures.{name}.deadline-utility"), &results);
-    ablations::push(bench, name, &without);
+    ablations::push(bench, name, &variants, &without);
     Ok(())
 }
 

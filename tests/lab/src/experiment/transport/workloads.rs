@@ -1,7 +1,7 @@
 //! Compares schedulers over streams of many lengths and rates, on recordings that are held out: no constant
 //! was chosen on them, but to scale gains was, on four of them and three of the streams.
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use dgs::{args::SceneArgs, pipeline};
 use trainer_host::Scene;
 
@@ -40,7 +40,7 @@ const FOX: &str = "scenes/gltf-fox/Fox.glb";
 /// Streams of 0.7 s to 3 min. Their rates follow from what they show and are printed: 0.008 to 5 Mbit/s.
 /// 5 Mbit/s for 30 s or more, and 0.5 Mbit/s for 3 min, are more than made scenes of 10 frames per second
 /// reach at the encoder's own steps under the limit on their size.
-const WORKLOADS: [Workload; 10] = [
+static WORKLOADS: [Workload; 10] = [
     Workload { name: "fox_run", source: Source::Mesh(FOX, "Run"), gaussians: 20_000, quick: true },
     Workload { name: "fox_walk", source: Source::Mesh(FOX, "Walk"), gaussians: 20_000, quick: false },
     Workload {
@@ -91,7 +91,8 @@ pub(in crate::experiment) fn run(setup: &Setup) -> Result<Bench> {
     if setup.quick {
         channels.truncate(4);
     }
-    for workload in WORKLOADS.iter().filter(|workload| !setup.quick || workload.quick) {
+    for workload in chosen(setup)? {
+        let first = bench.figures.len();
         let Some(scene) = workload.scene(setup, &mut bench)? else { continue };
         let study = pictures::Study::make(&scene, setup, PICTURES)?;
         let key = format!("workloads.{}", workload.name);
@@ -102,8 +103,26 @@ pub(in crate::experiment) fn run(setup: &Setup) -> Result<Bench> {
         pictures::push(&mut bench, &key, &study.compare(&channels, 1)?);
         // All of them take an hour: what is there is kept.
         setup.write("workloads.txt", &bench.table())?;
+        setup.show(&bench, first);
     }
     Ok(bench)
+}
+
+/// The streams that `setup` is about.
+///
+/// # Errors
+/// A name that none has.
+fn chosen(setup: &Setup) -> Result<Vec<&'static Workload>> {
+    let is_named = |workload: &Workload| setup.only.as_ref().is_none_or(|part| workload.name.contains(part));
+    let all = WORKLOADS.iter().filter(|workload| !setup.quick || workload.quick);
+    let chosen: Vec<_> = all.filter(|workload| is_named(workload)).collect();
+    if chosen.is_empty() {
+        let named = setup.only.as_deref().unwrap_or("");
+        let names: Vec<_> = WORKLOADS.iter().map(|workload| workload.name).collect();
+        let names = names.join(", ");
+        bail!("--only is {named:?}; part of one of {names} is allowed (with --quick of fox_run)");
+    }
+    Ok(chosen)
 }
 
 impl Workload {
@@ -129,6 +148,19 @@ impl Workload {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn streams_are_chosen_by_part_of_a_name_and_a_name_of_none_is_refused() {
+        let names = |quick, only: Option<&str>| {
+            let mut setup = Setup::new(None, quick, dgs::pipeline::Quiet(true));
+            setup.only = only.map(str::to_owned);
+            Ok::<_, anyhow::Error>(chosen(&setup)?.iter().map(|workload| workload.name).collect::<Vec<_>>())
+        };
+        assert_eq!(names(false, Some("cloth")).unwrap(), ["cloth_30s", "cloth_dense_30s"]);
+        assert_eq!((names(false, None).unwrap().len(), names(true, None).unwrap()), (10, vec!["fox_run"]));
+        let refused = names(true, Some("cloth")).unwrap_err().to_string();
+        assert!(refused.contains("\"cloth\"") && refused.contains("figure_3min"), "{refused}");
+    }
 
     #[test]
     fn made_scenes_are_no_larger_than_scenes_may_be() {

@@ -6,8 +6,13 @@ use std::{
 use super::*;
 use crate::{
     encode,
-    train::delivery::{LossUnit, Recording, evaluate, view::tests::study},
+    train::delivery::{LossUnit, Recording, drawing::tests::gpu, evaluate, view::tests::study},
 };
+
+/// How far apart two devices may be in the objective of any of a few updates, relative: as in gradients.
+const OBJECTIVE_TOLERANCE: f64 = 1e-3;
+/// The same of what validation sees, dB.
+const TUNED_TOLERANCE_DB: f64 = 0.1;
 
 fn options(variant: Variant) -> DeliveryOptions {
     DeliveryOptions {
@@ -26,7 +31,7 @@ fn one_seed_gives_one_scene_on_any_number_of_threads() {
     let train = |threads: usize, seed| {
         let options = DeliveryOptions { seed, updates: 6, ..options(Variant::Combined) };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| fine_tune(&scene, &references, &options, &|_| Continue(())).unwrap())
+        pool.install(|| fine_tune(&scene, &references, &options, &Backend::Cpu, &|_| Continue(())).unwrap())
     };
     let (one, three, other) = (train(1, 1), train(3, 1), train(1, 2));
     assert_eq!(one.record, three.record);
@@ -39,7 +44,7 @@ fn one_seed_gives_one_scene_on_any_number_of_threads() {
 fn reconstruction_brings_the_complete_state_nearer_to_its_pictures() {
     let (scene, references) = study(3, 2);
     let options = DeliveryOptions { updates: 40, ..options(Variant::Reconstruction) };
-    let tuned = fine_tune(&scene, &references, &options, &|_| Continue(())).unwrap();
+    let tuned = fine_tune(&scene, &references, &options, &Backend::Cpu, &|_| Continue(())).unwrap();
     let [first, .., last] = tuned.record.candidates[..] else { panic!("{:?}", tuned.record.candidates) };
     assert_eq!((first.updates, last.updates), (0, 40));
     assert!(last.clean_db > first.clean_db + 0.3, "{first:?} {last:?}");
@@ -58,7 +63,7 @@ fn the_registration_is_there_before_the_first_update_and_all_variants_are_valida
         let path = folder.path().join(format!("{}.json", variant.name()));
         let options = DeliveryOptions { updates: 3, registration: Some(path.clone()), ..options(variant) };
         let seen = Mutex::new(Vec::new());
-        let tuned = fine_tune(&scene, &references, &options, &|update| {
+        let tuned = fine_tune(&scene, &references, &options, &Backend::Cpu, &|update| {
             seen.lock().unwrap().push((update.updates, path.exists()));
             Continue(())
         })
@@ -76,7 +81,8 @@ fn the_registration_is_there_before_the_first_update_and_all_variants_are_valida
         registration: Some(folder.path().join("no/such/folder.json")),
         ..options(Variant::Iid)
     };
-    let error = fine_tune(&scene, &references, &options, &|_| panic!("nothing is trained")).unwrap_err();
+    let error = fine_tune(&scene, &references, &options, &Backend::Cpu, &|_| panic!("nothing is trained"))
+        .unwrap_err();
     assert!(error.to_string().contains("folder.json"), "{error}");
 }
 
@@ -86,7 +92,7 @@ fn a_fine_tuning_that_is_broken_off_returns_what_exists() {
     let (scene, references) = study(3, 1);
     let until_third = |options: &DeliveryOptions| {
         let progress = |update: &Update| if update.updates == 3 { Break(()) } else { Continue(()) };
-        fine_tune(&scene, &references, options, &progress).unwrap()
+        fine_tune(&scene, &references, options, &Backend::Cpu, &progress).unwrap()
     };
     let mut options = options(Variant::Iid);
     let tuned = until_third(&options);
@@ -103,7 +109,7 @@ fn a_fine_tuning_that_is_broken_off_returns_what_exists() {
 fn too_few_references_and_bad_options_are_named() {
     let (scene, references) = study(3, 1);
     let refused = |references: &[Reference], options: &DeliveryOptions| {
-        fine_tune(&scene, references, options, &|_| Continue(())).unwrap_err().to_string()
+        fine_tune(&scene, references, options, &Backend::Cpu, &|_| Continue(())).unwrap_err().to_string()
     };
     let options = options(Variant::Iid);
     assert!(refused(&[], &options).contains("0 reference pictures for training"));
@@ -119,7 +125,7 @@ fn rate_in_the_objective_makes_the_stream_smaller() {
         let mut options = DeliveryOptions { updates: 30, ..options(Variant::Combined) };
         options.weights.rate = rate;
         options.validation.candidates = 1;
-        let tuned = fine_tune(&scene, &references, &options, &|_| Continue(())).unwrap();
+        let tuned = fine_tune(&scene, &references, &options, &Backend::Cpu, &|_| Continue(())).unwrap();
         tuned.record.candidates[1].wire_bytes
     };
     let (without, with) = (bytes(0.0), bytes(3.0));
@@ -137,7 +143,8 @@ fn recorded_states_are_trained_on_and_must_fit() {
     let masks = Masks::draw(&encoded.stream, loss, LossUnit::Packet, 2, 9).unwrap();
     let recording = Recording::of(&encoded.stream, (0..).zip(masks.states)).unwrap();
     let worlds = |options: &DeliveryOptions| {
-        fine_tune(&scene, &references, options, &|_| Continue(())).map(|tuned| tuned.record.worlds)
+        fine_tune(&scene, &references, options, &Backend::Cpu, &|_| Continue(()))
+            .map(|tuned| tuned.record.worlds)
     };
     let without = worlds(&options).unwrap();
     options.recorded = Some(path.clone());
@@ -153,7 +160,7 @@ fn recorded_states_are_trained_on_and_must_fit() {
 fn a_fine_tuning_goes_on_bit_for_bit() {
     let (scene, references) = study(3, 1);
     let mut options = DeliveryOptions { updates: 7, ..options(Variant::Combined) };
-    let whole = fine_tune(&scene, &references, &options, &|_| Continue(())).unwrap();
+    let whole = fine_tune(&scene, &references, &options, &Backend::Cpu, &|_| Continue(())).unwrap();
     let bytes_after = |updates: usize| {
         let bytes = Mutex::new(Vec::new());
         let progress = |update: &Update, at: &Tuning| {
@@ -163,13 +170,14 @@ fn a_fine_tuning_goes_on_bit_for_bit() {
             *bytes.lock().unwrap() = at.to_bytes().unwrap();
             Break(())
         };
-        resume(&scene, &references, &options, None, &progress).unwrap();
+        resume(&scene, &references, &options, &Backend::Cpu, None, &progress).unwrap();
         bytes.into_inner().unwrap()
     };
     // Before the second encoding, at one, between two, after the last update.
     for updates in [1, 3, 5, 7] {
         let at = Tuning::from_bytes(&bytes_after(updates)).unwrap();
-        let gone_on = resume(&scene, &references, &options, Some(at), &|_, _| Continue(())).unwrap();
+        let gone_on =
+            resume(&scene, &references, &options, &Backend::Cpu, Some(at), &|_, _| Continue(())).unwrap();
         assert_eq!(gone_on.record, whole.record, "after {updates}");
         assert!(gone_on.scene.epochs() == whole.scene.epochs() && gone_on.decisions == whole.decisions);
     }
@@ -178,7 +186,8 @@ fn a_fine_tuning_goes_on_bit_for_bit() {
     let bytes = bytes_after(3);
     let refused = |scene: &Scene, references: &[Reference], options: &DeliveryOptions| {
         let at = Tuning::from_bytes(&bytes).unwrap();
-        let error = resume(scene, references, options, Some(at), &|_, _| panic!("nothing is trained"));
+        let error =
+            resume(scene, references, options, &Backend::Cpu, Some(at), &|_, _| panic!("nothing is trained"));
         error.unwrap_err().to_string()
     };
     let (other, _) = study(3, 2);
@@ -192,4 +201,63 @@ fn a_fine_tuning_goes_on_bit_for_bit() {
     damaged[100] ^= 1;
     assert!(Tuning::from_bytes(&damaged).unwrap_err().to_string().contains("checksum"));
     assert!(Tuning::from_bytes(b"DGSTRAIN").unwrap_err().to_string().contains("DGSTUNED"));
+}
+
+/// Largest relative difference of the objective of an update.
+fn apart(found: &FineTuned, expected: &FineTuned) -> f64 {
+    let (found, expected) = (&found.record.objective, &expected.record.objective);
+    assert_eq!(found.len(), expected.len());
+    found.iter().zip(expected).map(|(found, expected)| (found / expected - 1.0).abs()).fold(0.0, f64::max)
+}
+
+/// A graphics device follows the processor's fine-tuning and gives the same bits on any number of threads;
+/// each goes on from the other's checkpoint.
+#[test]
+fn another_device_fine_tunes_to_the_same_objective() {
+    let Some(gpu) = gpu() else { return };
+    let (scene, references) = study(3, 2);
+    let options = DeliveryOptions { updates: 4, warm_up: 0.0, ..options(Variant::Combined) };
+    let tuned = |references: &[Reference], backend: &Backend, begun: Option<Tuning>| {
+        resume(&scene, references, &options, backend, begun, &|_, _| Continue(())).unwrap()
+    };
+    let (cpu, other) = (tuned(&references, &Backend::Cpu, None), tuned(&references, &gpu, None));
+    let (expected, found) = (&cpu.record, &other.record);
+    println!("{}: {:.1e}; {:?} {:?}", gpu.name(), apart(&other, &cpu), found.objective, expected.objective);
+    assert!(apart(&other, &cpu) < OBJECTIVE_TOLERANCE, "{:?} {:?}", found.objective, expected.objective);
+    assert_eq!(found.candidates.len(), 3);
+    for (found, expected) in found.candidates.iter().zip(&expected.candidates) {
+        let off = [found.clean_db - expected.clean_db, found.p10_db - expected.p10_db];
+        assert!(off.iter().all(|db| db.abs() < TUNED_TOLERANCE_DB), "{found:?} {expected:?}");
+    }
+    assert_eq!((expected.device.as_str(), found.device.as_str()), ("cpu", gpu.name().as_str()));
+    assert!(found.registration == expected.registration && found.worlds == expected.worlds);
+    // The comparison sees what is drawn over another background.
+    let over_grey = |reference: &Reference| Reference { background: [0.1; 3], ..reference.clone() };
+    let over_grey: Vec<Reference> = references.iter().map(over_grey).collect();
+    assert!(apart(&tuned(&over_grey, &gpu, None), &cpu) > 2.0 * OBJECTIVE_TOLERANCE);
+
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let again = pool.install(|| tuned(&references, &gpu, None));
+    assert_eq!(again.record, *found);
+    assert!(again.scene.epochs() == other.scene.epochs());
+
+    let half = Mutex::new(Vec::new());
+    let until_second = |update: &Update, at: &Tuning| {
+        if update.updates < 2 {
+            return Continue(());
+        }
+        *half.lock().unwrap() = at.to_bytes().unwrap();
+        Break(())
+    };
+    resume(&scene, &references, &options, &gpu, None, &until_second).unwrap();
+    let half = half.into_inner().unwrap();
+    let gone_on = |backend: &Backend| {
+        let begun = Tuning::from_bytes(&half).unwrap();
+        tuned(&references, backend, Some(begun))
+    };
+    assert_eq!(gone_on(&gpu).record, *found, "on its own device");
+    let elsewhere = gone_on(&Backend::Cpu);
+    assert_eq!(elsewhere.record.objective[..2], found.objective[..2]);
+    assert!(apart(&elsewhere, &cpu) < OBJECTIVE_TOLERANCE, "{:?}", elsewhere.record.objective);
+    assert_eq!(elsewhere.record.device, "cpu");
 }

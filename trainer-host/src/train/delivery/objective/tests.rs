@@ -1,3 +1,5 @@
+use std::ops::Range;
+
 use render_host::metric;
 
 use super::*;
@@ -7,12 +9,17 @@ use crate::{
     train::delivery::{
         LossModel, LossUnit, Masks,
         coded::Coded,
+        drawing::tests::gpu,
         masks::Sampler,
-        parameters::{COMPONENTS, Parameters},
+        parameters::{COLOUR, COMPONENTS, OPACITY, Parameters, SCALE, TURN},
         steps,
         view::{tests::study, views},
     },
 };
+
+/// Largest relative L2 distance between devices, for each kind of parameter and for steps: ten times that of
+/// one picture's gradients, since a change from frame to frame is compared with what the device itself drew.
+const DEVICE_TOLERANCE: f64 = 1e-3;
 
 /// A scene, its encoding, a view with a change, worlds, and prefixes from the longest to the shortest so that
 /// every step of them is a rise.
@@ -43,12 +50,25 @@ fn made() -> Study {
 
 impl Study {
     fn terms(&self, parameters: &Parameters, weights: &Weights) -> (Terms, Vec<[f64; COMPONENTS]>) {
+        let settings = Settings::exact();
+        let (terms, gradient) = self.found(parameters, weights, &self.view, &mut Drawing::Cpu, &settings);
+        (terms, gradient.parameters)
+    }
+
+    /// Terms and gradient in `view`.
+    fn found(
+        &self,
+        parameters: &Parameters,
+        weights: &Weights,
+        view: &View,
+        drawing: &mut Drawing,
+        settings: &Settings,
+    ) -> (Terms, Gradient) {
         let moving = self.coded.moving(&self.scene, parameters);
         let worlds = Worlds { states: &self.states, prefixes: &self.prefixes };
         let mut gradient = Gradient::zeros(parameters.count(), steps::rows(&self.coded.encoded.decisions));
-        let settings = Settings::exact();
-        let terms = differentiate(&moving, &worlds, &self.view, weights, &settings, &mut gradient).unwrap();
-        (terms, gradient.parameters)
+        let terms = differentiate(&moving, &worlds, view, weights, drawing, settings, &mut gradient).unwrap();
+        (terms, gradient)
     }
 
     /// The objective at `parameters` with the shorter prefix of each step as it was in `fixed`.
@@ -172,4 +192,65 @@ fn equal_worlds_count_each() {
     let (second, twice) = study.terms(&study.parameters, &weights);
     assert!((first.expected - second.expected).abs() < 1e-12);
     assert!((dot(&once, &once) / dot(&once, &twice) - 1.0).abs() < 1e-6);
+}
+
+/// Relative L2 distance of the first numbers from the second; not a number where all of these are 0.
+fn distance(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let (apart, all) = pairs.fold((0.0, 0.0), |(apart, all), (found, expected)| {
+        (apart + (found - expected) * (found - expected), all + expected * expected)
+    });
+    f64::sqrt(apart / all)
+}
+
+/// Relative L2 distances from `expected`, by name.
+fn distances(found: &Gradient, expected: &Gradient) -> Vec<(&'static str, f64)> {
+    let kinds = [
+        ("centre", 0..SCALE),
+        ("log-scale", SCALE..TURN),
+        ("turn", TURN..OPACITY),
+        ("opacity", OPACITY..COLOUR),
+        ("colour", COLOUR..COMPONENTS),
+    ];
+    let of_kind = |kind: Range<usize>| {
+        let rows = found.parameters.iter().zip(&expected.parameters);
+        distance(rows.flat_map(|(found, expected)| kind.clone().map(move |c| (found[c], expected[c]))))
+    };
+    let mut out: Vec<_> = kinds.into_iter().map(|(name, kind)| (name, of_kind(kind))).collect();
+    let steps = found.steps.as_flattened().iter().zip(expected.steps.as_flattened());
+    out.push(("steps", distance(steps.map(|(&found, &expected)| (found, expected)))));
+    out
+}
+
+/// A graphics device finds the terms and the gradient that the processor finds, and the same bits again.
+#[test]
+fn another_device_finds_the_same_objective_and_gradient() {
+    let Some(gpu) = gpu() else { return };
+    let study = made();
+    let weights = Weights { temporal: 30.0, monotone: 0.5, cvar_fraction: 0.2, ..Weights::default() };
+    let other_view = View { background: [0.1; 3], ..study.view.clone() };
+    let settings = Settings::default();
+    let on = |drawing: &mut Drawing, view: &View| {
+        study.found(&study.parameters, &weights, view, drawing, &settings)
+    };
+    let (expected_terms, expected) = on(&mut Drawing::Cpu, &study.view);
+    let mut drawing = Drawing::on(&gpu).unwrap();
+    assert!(matches!(drawing, Drawing::Gpu(_)));
+    let (terms, found) = on(&mut drawing, &study.view);
+    let values = |terms: &Terms| {
+        let Terms { expected, tail, temporal, monotone, prefixes, .. } = *terms;
+        [expected, tail, temporal, monotone].into_iter().chain(prefixes).collect::<Vec<f64>>()
+    };
+    for (found, expected) in values(&terms).into_iter().zip(values(&expected_terms)) {
+        assert!((found / expected - 1.0).abs() < 1e-4, "{terms:?} {expected_terms:?}");
+    }
+    for (name, apart) in distances(&found, &expected) {
+        println!("{name}: {apart:.1e}");
+        assert!(apart < DEVICE_TOLERANCE, "{name}: {apart}");
+    }
+    // The comparison sees another background, of every kind of parameter.
+    let (_, other) = on(&mut drawing, &other_view);
+    for (name, apart) in distances(&other, &expected) {
+        assert!(apart > 2.0 * DEVICE_TOLERANCE, "{name}: {apart}");
+    }
+    assert!(on(&mut drawing, &study.view) == (terms, found), "the same bits, whatever was drawn before");
 }
