@@ -37,12 +37,12 @@ struct Typed {
     /// the last also finds them in the data folder (lpips/alexnet.safetensors).
     #[arg(long, value_name = "FILE")]
     lpips: Option<PathBuf>,
-    /// How many states per loss `erasure` measures with LPIPS, which takes longest: 1 to 128.
+    /// How many states per loss `erasure` measures with FLIP and LPIPS, which take longest: 1 to 128.
     #[arg(
-        long, value_name = "STATES", default_value_t = Setup::LPIPS_STATES,
+        long, value_name = "STATES", default_value_t = Setup::PERCEPTUAL_STATES,
         value_parser = clap::value_parser!(u16).range(1..=128)
     )]
-    lpips_states: u16,
+    perceptual_states: u16,
     /// Of `workloads`, which takes an hour, only the streams whose names hold this, for example cloth.
     #[arg(long, value_name = "NAME")]
     only: Option<String>,
@@ -65,7 +65,7 @@ fn run(typed: &Typed) -> Result<VerbOutput> {
     let mut setup = Setup::new(typed.data.clone(), typed.quick, Quiet(typed.json));
     setup.out.clone_from(&typed.out);
     setup.lpips.clone_from(&typed.lpips);
-    setup.lpips_states = usize::from(typed.lpips_states);
+    setup.perceptual_states = usize::from(typed.perceptual_states);
     setup.only.clone_from(&typed.only);
     let mut benches = Vec::new();
     for experiment in chosen(typed.name.as_deref().unwrap_or("all"))? {

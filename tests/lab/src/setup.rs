@@ -24,15 +24,15 @@ pub struct Setup {
     pub out: Option<PathBuf>,
     /// Weights of LPIPS, to measure it too where pictures are rated.
     pub lpips: Option<PathBuf>,
-    /// States that a study of states measures with LPIPS.
-    pub lpips_states: usize,
+    /// States per loss that a study of states measures with FLIP and LPIPS.
+    pub perceptual_states: usize,
     /// Part of the names of the streams that `workloads` delivers; all without.
     pub only: Option<String>,
 }
 
 impl Setup {
-    /// States that are measured with LPIPS where nothing is typed.
-    pub const LPIPS_STATES: u16 = 32;
+    /// States that are measured with FLIP and LPIPS where nothing is typed.
+    pub const PERCEPTUAL_STATES: u16 = 32;
 
     /// A setup with the data folder typed, else `../shared/data` if it is there.
     pub fn new(data: Option<PathBuf>, quick: bool, quiet: Quiet) -> Self {
@@ -43,7 +43,7 @@ impl Setup {
             quiet,
             out: None,
             lpips: None,
-            lpips_states: usize::from(Self::LPIPS_STATES),
+            perceptual_states: usize::from(Self::PERCEPTUAL_STATES),
             only: None,
         }
     }

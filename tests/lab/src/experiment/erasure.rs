@@ -10,7 +10,7 @@ use trainer_host::{
     },
 };
 
-use self::appearance::{Appearance, Measured, Network};
+use self::appearance::{Appearance, Measured, Perceptual};
 use super::delivery::{BURST, Size, Study};
 use crate::{
     figures::{Bench, Figure, bootstrap95, mean},
@@ -37,15 +37,14 @@ struct Tested {
 pub fn run(setup: &Setup) -> Result<Bench> {
     let size = Size::of(setup);
     let size = Size { seeds: if setup.quick { 1 } else { size.seeds }, ..size };
-    let network = Network::of(setup)?;
-    let mut bench = Bench::new("erasure", protocol(network.as_ref()));
-    if network.is_none() {
+    let perceptual = Perceptual::of(setup)?;
+    let mut bench = Bench::new("erasure", protocol(&perceptual));
+    if perceptual.network.is_none() {
         bench.skipped.push("LPIPS: no weights of it are here (see --lpips)".into());
     }
-    let network = network.as_ref();
     let sheet = Study::make(size)?;
     let words = size.words();
-    let with = (setup, network);
+    let with = (setup, &perceptual);
     let pairs = measure(&mut bench, ("", &words), &sheet, with)?;
     groups(&mut bench, &sheet, &pairs, with)?;
     clean_heavier(&mut bench, &sheet, &pairs)?;
@@ -75,20 +74,20 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     Ok(bench)
 }
 
-fn protocol(network: Option<&Network>) -> String {
-    let lpips = network.map_or(String::new(), |network| {
-        format!(" and, of the first {} states of each loss, LPIPS (AlexNet)", network.states)
-    });
+fn protocol(perceptual: &Perceptual) -> String {
+    let lpips = if perceptual.network.is_some() { " and LPIPS (AlexNet)" } else { "" };
+    let states = perceptual.states;
     format!(
         "trained: variant mixed, the candidate that validation takes; untrained: variant reconstruction with \
          as many complete pictures per update as mixed has worlds, taken by the same rule; the same states \
          per loss for both; no retransmission, `repaired`: with the parity that streams have by default when \
          they are sent, `strong` and `full`: with `--repair` of that name; PSNR on held-out pictures, drop: \
          below the own complete state, cliffs: states more than 3 dB below it; FLIP{lpips} of the same \
-         pictures; flicker: change to the next frame in the same state that the reference does not have, \
-         times 1000 (no photograph follows another: what changes there is of renders of the scene before \
-         either training); rise: above the own complete state; gain: mean over states of trained less \
-         untrained PSNR, difference: the same of another measure; both with paired bootstrap over states"
+         pictures, of the first {states} states of each loss; flicker: change to the next frame in the same \
+         state that the reference does not have, times 1000 (no photograph follows another: what changes \
+         there is of renders of the scene before either training); rise: above the own complete state; gain: \
+         mean over states of trained less untrained PSNR, difference: the same of another measure; both with \
+         paired bootstrap over states"
     )
 }
 
@@ -132,7 +131,7 @@ fn measure(
     bench: &mut Bench,
     (prefix, words): (&str, &str),
     study: &Study,
-    with: (&Setup, Option<&Network>),
+    with: (&Setup, &Perceptual),
 ) -> Result<Vec<[FineTuned; 2]>> {
     let losses = IID_PERCENT.map(independent).into_iter().chain(BURST_PERCENT.map(in_bursts));
     let drawn = drawn(study, losses, LossUnit::Packet)?;
@@ -157,7 +156,7 @@ fn groups(
     bench: &mut Bench,
     study: &Study,
     pairs: &[[FineTuned; 2]],
-    with: (&Setup, Option<&Network>),
+    with: (&Setup, &Perceptual),
 ) -> Result<()> {
     let drawn = drawn(study, GROUP_PERCENT.map(independent), LossUnit::Group)?;
     let hashes = hashes(&drawn);
@@ -194,7 +193,7 @@ fn compare(
     prefix: &str,
     study: &Study,
     (pairs, drawn): (&[[FineTuned; 2]], &[(String, Masks)]),
-    (setup, network): (&Setup, Option<&Network>),
+    (setup, perceptual): (&Setup, &Perceptual),
 ) -> Result<()> {
     for (name, masks) in drawn {
         let first = bench.figures.len();
@@ -202,7 +201,7 @@ fn compare(
         for pair in pairs {
             for (found, tuned) in found.iter_mut().zip(pair) {
                 let evaluation = study.evaluate(tuned, masks)?;
-                let appearance = Appearance::of(study, tuned, masks, network)?;
+                let appearance = Appearance::of(study, tuned, masks, perceptual)?;
                 found.push(Tested { evaluation, appearance });
             }
         }
@@ -346,7 +345,7 @@ mod tests {
         let complete = study.train(&validated(&study, Variant::Reconstruction, 1)).unwrap();
         let mut bench = Bench::new("erasure", "test");
         let pairs = [[trained, complete]];
-        groups(&mut bench, &study, &pairs, (&setup, None)).unwrap();
+        groups(&mut bench, &study, &pairs, (&setup, &Perceptual { network: None, states: 6 })).unwrap();
         clean_heavier(&mut bench, &study, &pairs).unwrap();
         for key in ["groups.iid5.psnr", "groups.iid10.worst10", "groups.iid10.flip"] {
             assert_eq!(value(&bench, key).peer.as_deref(), Some("untrained"), "{key}");

@@ -25,38 +25,41 @@ impl Measured {
     }
 }
 
-/// Most states that are measured with LPIPS by `--quick`.
-const QUICK_STATES: usize = 4;
-
 /// What states look like, each a mean over test pictures; less is better.
 #[derive(Clone, Debug)]
 pub(super) struct Appearance {
+    /// Of the first states only.
     pub(super) flip: Measured,
-    /// Of the first states only; nothing without weights.
+    /// Of as many; nothing without weights.
     pub(super) lpips: Option<Measured>,
     /// Where a test picture has a next one, times 1000.
     pub(super) flicker: Measured,
 }
 
-/// What is measured with LPIPS, which takes longest.
-pub(super) struct Network {
-    lpips: Lpips,
+/// Perceptual measures, which take longest.
+pub(super) struct Perceptual {
+    /// Weights of LPIPS, if there are any.
+    pub(super) network: Option<Lpips>,
     /// How many states, the first ones.
     pub(super) states: usize,
 }
 
-impl Network {
-    /// The network that `setup` names or that lies in the data folder, if there is one.
+/// Most states that `--quick` measures so.
+const QUICK_STATES: usize = 4;
+
+impl Perceptual {
+    /// With the weights that `setup` names or that lie in the data folder.
     ///
     /// # Errors
-    /// A file that is none.
-    pub(super) fn of(setup: &Setup) -> Result<Option<Self>> {
-        let Some(path) = setup.lpips_weights() else { return Ok(None) };
-        let failed = || format!("weights of LPIPS: {}", path.display());
-        let lpips =
-            Lpips::from_safetensors(&std::fs::read(&path).with_context(failed)?).with_context(failed)?;
+    /// A file that holds none.
+    pub(super) fn of(setup: &Setup) -> Result<Self> {
+        let read = |path: std::path::PathBuf| {
+            let failed = || format!("weights of LPIPS: {}", path.display());
+            Lpips::from_safetensors(&std::fs::read(&path).with_context(failed)?).with_context(failed)
+        };
         let most = if setup.quick { QUICK_STATES } else { usize::MAX };
-        Ok(Some(Self { lpips, states: setup.lpips_states.min(most) }))
+        let network = setup.lpips_weights().map(read).transpose()?;
+        Ok(Self { network, states: setup.perceptual_states.min(most) })
     }
 }
 
@@ -85,7 +88,7 @@ impl Appearance {
         study: &Study,
         tuned: &FineTuned,
         masks: &Masks,
-        network: Option<&Network>,
+        perceptual: &Perceptual,
     ) -> Result<Self> {
         let scene = DeliveredScene::new(&tuned.scene, &tuned.decisions)?;
         let mut states = scene.complete();
@@ -95,11 +98,11 @@ impl Appearance {
         for (reference, following) in study.test.iter().zip(&study.following) {
             let Reference { frame, camera, background, picture } = reference;
             let images = scene.pictures(&states, *frame, camera, *background)?;
-            flip.add(&each(&images, |image| {
+            let first = &images[..images.len().min(perceptual.states + 1)];
+            flip.add(&each(first, |image| {
                 Ok(metric::flip(image, picture, metric::flip::PIXELS_PER_DEGREE)?.mean)
             })?);
-            if let Some(Network { lpips: network, states }) = network {
-                let first = &images[..images.len().min(states + 1)];
+            if let Some(network) = &perceptual.network {
                 lpips.add(&each(first, |image| Ok(network.distance(image, picture)?))?);
             }
             if let Some(following) = following {
@@ -109,7 +112,7 @@ impl Appearance {
             }
         }
         let pictures = study.test.len();
-        let lpips = network.map(|_| lpips.means(pictures));
+        let lpips = perceptual.network.as_ref().map(|_| lpips.means(pictures));
         Ok(Self { flip: flip.means(pictures), lpips, flicker: flicker.means(pairs) })
     }
 }
@@ -145,7 +148,7 @@ mod tests {
         let tuned = study.train(&options).unwrap();
         let look = |probability| {
             let masks = study.masks(LossModel::Iid { probability }).unwrap();
-            Appearance::of(&study, &tuned, &masks, None).unwrap()
+            Appearance::of(&study, &tuned, &masks, &Perceptual { network: None, states: 6 }).unwrap()
         };
         let (none, some, many) = (look(0.0), look(0.1), look(0.5));
         let measures: [fn(&Appearance) -> Measured; 2] = [|a| a.flip.clone(), |a| a.flicker.clone()];
