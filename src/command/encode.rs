@@ -252,8 +252,10 @@ fn utilities(
 /// # Errors
 /// A file that cannot be read, or does not hold decisions.
 pub(super) fn read_decisions(path: &Path) -> Result<Decisions> {
-    let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
-    serde_json::from_slice(&bytes).with_context(|| format!("{}: not a file of decisions", path.display()))
+    let file = std::fs::File::open(path).with_context(|| format!("{}: cannot read", path.display()))?;
+    // Read as it is parsed: what is something else, and perhaps has no end, is refused at its beginning.
+    serde_json::from_reader(std::io::BufReader::new(file))
+        .with_context(|| format!("{}: not a file of decisions", path.display()))
 }
 
 /// Refuses decisions for another scene.

@@ -32,6 +32,7 @@ fn a_device_without_end_is_refused_at_its_start() {
         (vec!["convert", "/dev/zero", "a.ply"], "/dev/zero: is no file, folder or stream"),
         (vec!["render", "/dev/zero", "-o", "a.png"], "/dev/zero: is no file, folder or stream"),
         (vec!["inspect", "/dev/zero"], "/dev/zero: no usable .dgs file"),
+        (vec!["inspect", "--decisions", "/dev/zero"], "/dev/zero: not a file of decisions"),
     ] {
         let error = stopped(at, &args, 1);
         assert!(error.contains(says), "{args:?}: {error}");

@@ -86,12 +86,13 @@ impl FrameSums {
         (part.utility * span(&self.utility), part.base * span(&self.base))
     }
 
-    /// The same with a unit of utility alike in every frame: what it is in the mean of all frames.
+    /// As [`FrameSums::gain`], but a unit of utility counts the same in every frame: the mean over all frames
+    /// of what it counts in each.
     pub(crate) fn even_gain(&self, part: &Contribution, from: u32) -> (f64, f64) {
         let (_, base) = self.gain(part, from);
         let frames = (part.last + 1).saturating_sub(part.first.max(from));
-        let whole = self.utility.last().map_or(0.0, |sum| sum / (self.utility.len() - 1).max(1) as f64);
-        (part.utility * whole * f64::from(frames), base)
+        let unit = self.utility.last().map_or(0.0, |sum| sum / (self.utility.len() - 1).max(1) as f64);
+        (part.utility * unit * f64::from(frames), base)
     }
 }
 

@@ -175,6 +175,33 @@ mod tests {
     use super::*;
     use crate::{clock::Rate, graph::Synthetic, startup::StartupRule};
 
+    /// What is seen of a graph a second before playout, over 1 Mbit/s and 20 ms one way with an empty queue.
+    pub(super) fn view<'a>(
+        graph: &'a PacketGraph,
+        status: &'a [PacketStatus],
+        sent_at: &'a [Nanos],
+    ) -> SenderView<'a> {
+        SenderView {
+            graph,
+            status,
+            sent_at,
+            playout_start: Nanos::from_s(1),
+            playing: false,
+            horizon_frame: 100,
+            rate: Rate::from_mbps(1),
+            smoothed_rtt: Nanos::from_ms(50),
+            rtt_variation: Nanos::from_ms(5),
+            minimum_rtt: Nanos::from_ms(40),
+            in_flight: 0,
+            loss: 0.01,
+            loss_after_loss: 0.01,
+            sent_number: &[],
+            startup: StartupRule::AfterWait,
+            retransmissions: 2,
+            viewpoint: None,
+        }
+    }
+
     /// Poses may change with every receipt: plans are made at their own pace.
     #[test]
     fn a_viewer_that_moves_all_the_time_renews_the_plan_twenty_times_a_second_at_most() {
@@ -188,23 +215,10 @@ mod tests {
             for ms in 0..1000u32 {
                 let pose = ViewerPose { position: [ms as f32, 0.0, 0.0], rotation: [1.0, 0.0, 0.0, 0.0] };
                 let view = SenderView {
-                    graph: &graph,
-                    status: &status,
                     playout_start: Nanos::from_s(2),
                     playing: true,
-                    horizon_frame: 30,
-                    rate: Rate::from_mbps(5),
-                    smoothed_rtt: Nanos::from_ms(50),
-                    rtt_variation: Nanos::from_ms(5),
-                    minimum_rtt: Nanos::from_ms(40),
-                    in_flight: 0,
-                    sent_at: &sent_at,
-                    loss: 0.0,
-                    loss_after_loss: 0.0,
-                    sent_number: &[],
-                    startup: StartupRule::AfterWait,
-                    retransmissions: 2,
                     viewpoint: Viewpoint::of(&pose),
+                    ..view(&graph, &status, &sent_at)
                 };
                 let now = Nanos::from_ms(u64::from(ms));
                 plans += u32::from(policy.is_due(&view, now));

@@ -12,7 +12,7 @@ use render_host::Backend;
 use serde_json::json;
 use trainer_host::{
     Scene,
-    encode::{Decisions, EncodeOptions, Encoded, Protection, no_progress, write},
+    encode::{Decisions, EncodeOptions, Encoded, Protection, write},
     train::{
         self, Dataset,
         delivery::{
@@ -141,7 +141,10 @@ pub(super) fn run(
     let interrupted = updates < options.updates;
     let bytes = tuned.stream.to_bytes()?;
     files::write(&folder.stream, &bytes)?;
-    let given = write(scene, &given, &no_progress)?;
+    let bar = Progress::new("encode, as given", quiet.0);
+    let given =
+        write(scene, &given, &|stage, share| bar.heard(&format!("encode, as given: {stage}"), share))?;
+    drop(bar);
     let before = train::evaluate(&decoded(&given)?, &dataset.test, 1, background)?;
     let after = train::evaluate(&decoded(&tuned)?, &dataset.test, 1, background)?;
     let lead = format!("{} bytes as scene.dgs.", bytes.len());
@@ -225,11 +228,13 @@ pub(super) fn fine_tuned(
     };
     let (tuned, seconds) = updated(args, folder, scene, &references, (&options, backend), stop, quiet)?;
     files::write(&folder.delivery, serde_json::to_string_pretty(&tuned.record)?.as_bytes())?;
-    let progress = |_: &'static str, _: f64| {
+    let bar = Progress::new("encode, fine-tuned", quiet.0);
+    let progress = |stage: &'static str, share: f64| {
         stop.leave("delivery.json is whole; the stream is not there");
-        ControlFlow::Continue(())
+        bar.heard(&format!("encode, fine-tuned: {stage}"), share)
     };
     let encoded = write(&tuned.scene, &tuned.decisions, &progress)?;
+    drop(bar);
     let damage = Damage::of(scene, &tuned, &unseen(dataset, scene, max_side, background)?)?;
     let section = page::section(&tuned.record, seconds, &damage)?;
     Ok(Tuned { encoded, given: tuned.given, record: tuned.record, section, choice })

@@ -127,20 +127,26 @@ pub(super) fn within_loss(
 ) -> Result<Written> {
     let mut options = pipeline::encode_options(&args.codec, Protection::NONE);
     let decisions = trained.decisions.as_ref().filter(|_| !steps_are_typed(args));
-    let bar = Progress::new("encode", quiet.0);
-    let progress = |stage: &'static str, share: f64| {
-        stop.leave(what_is_left);
-        bar.heard(stage, share)
+    let bar = &Progress::new("encode", quiet.0);
+    // There may be several encodings: a stage is said with the one that it is of.
+    let named = |name: String| {
+        move |stage: &'static str, share: f64| {
+            stop.leave(what_is_left);
+            bar.heard(&format!("{name}: {stage}"), share)
+        }
     };
     let scene = &trained.scene;
     if let Some(decisions) = decisions {
         let bytes = trained.options.finish.target_bytes;
         options.target = options.target.or((bytes > 0).then_some(Target::Bytes(bytes)));
         if options.target.is_some() {
-            return to_size(scene, decisions, &options, &progress);
+            let of_motion = named("encode, steps of motion".to_owned());
+            let of_all = named("encode, all steps".to_owned());
+            return to_size(scene, decisions, &options, &of_motion, &of_all);
         }
     }
     if options.target.is_some() || steps_are_typed(args) {
+        let progress = named("encode".to_owned());
         return Ok(Written::plainly(encode::encode(scene, &options, &progress).context("cannot encode")?));
     }
     let (reduced, background) = (trained.reduced, trained.options.background);
@@ -153,7 +159,8 @@ pub(super) fn within_loss(
         Ok(found?.psnr_db)
     };
     let trained_db = psnr_db(&trained.shown())?;
-    let attempt = |coarseness: f64| -> Result<Attempt> {
+    let attempt = |number: usize, coarseness: f64| -> Result<Attempt> {
+        let progress = named(attempt_in_words(number, coarseness, decisions.is_some()));
         let encoded = match decisions {
             Some(decisions) => encode::reencode(scene, decisions, coarseness as f32, &options, &progress),
             None => {
@@ -166,13 +173,13 @@ pub(super) fn within_loss(
         Ok(Attempt { encoded, coarseness, lost_db: trained_db - shown_db })
     };
     let allowed = args.encoding_loss;
-    let mut best = attempt(1.0)?;
+    let mut best = attempt(1, 1.0)?;
     let mut next = best.next_coarseness(allowed);
-    for _ in 1..ATTEMPTS {
+    for number in 2..=ATTEMPTS {
         if (NEAR * allowed..=allowed).contains(&best.lost_db) {
             break;
         }
-        let found = attempt(next)?;
+        let found = attempt(number, next)?;
         next = found.next_coarseness(allowed);
         if found.beats(&best, allowed) {
             best = found;
@@ -188,22 +195,41 @@ pub(super) fn within_loss(
     Ok(Written { encoded, lost_db: Some(lost_db), notes: over.into_iter().collect() })
 }
 
+/// Which of the attempts is made, the first is 1, and with steps how long: those of motion alone, or all.
+fn attempt_in_words(number: usize, coarseness: f64, of_motion: bool) -> String {
+    let steps = if of_motion { "steps of motion" } else { "steps" };
+    format!("encoding {number} of at most {ATTEMPTS}, {steps} x {coarseness:.2}")
+}
+
 /// The stream of the size that `options` name: with the steps that the training has rounded by, or where
-/// steps of motion alone do not lead there, with steps of the encoder's own choice.
+/// steps of motion alone do not lead there, with steps of the encoder's own choice. Each way has a progress
+/// of its own.
 fn to_size(
     scene: &Scene,
     decisions: &Decisions,
     options: &EncodeOptions,
-    progress: encode::Progress<'_>,
+    of_motion: encode::Progress<'_>,
+    of_all: encode::Progress<'_>,
 ) -> Result<Written> {
-    let error = match encode::reencode_to_size(scene, decisions, options, progress) {
+    let error = match encode::reencode_to_size(scene, decisions, options, of_motion) {
         Ok(encoded) => return Ok(Written::plainly(encoded)),
         Err(error) => error,
     };
     if !matches!(error, EncodeError::UnreachableByMotion { .. } | EncodeError::BlockTooLarge { .. }) {
         return Err(error).context("cannot encode");
     }
-    let encoded = encode::encode(scene, options, progress).context("cannot encode")?;
+    let encoded = encode::encode(scene, options, of_all).context("cannot encode")?;
     let notes = vec![format!("{error}; all steps are chosen anew for the size")];
     Ok(Written { notes, ..Written::plainly(encoded) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_encoding_says_which_of_how_many_it_is_and_how_coarse() {
+        assert_eq!(attempt_in_words(1, 1.0, false), "encoding 1 of at most 4, steps x 1.00");
+        assert_eq!(attempt_in_words(3, 0.346, true), "encoding 3 of at most 4, steps of motion x 0.35");
+    }
 }

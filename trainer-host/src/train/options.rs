@@ -139,9 +139,6 @@ pub struct Schedule {
     pub harmonics_every: f64,
 }
 
-/// [`Schedule::harmonics_every`] where nothing is said.
-const HARMONICS_EVERY: f64 = 0.0;
-
 impl Default for Schedule {
     fn default() -> Self {
         Self {
@@ -158,7 +155,7 @@ impl Default for Schedule {
             rigidity_decay: 0.05,
             opposite_end: 1.0,
             average_from: 0.9,
-            harmonics_every: HARMONICS_EVERY,
+            harmonics_every: 0.0,
         }
     }
 }

@@ -67,10 +67,9 @@ fn power(base: f64, exponent: u64) -> f64 {
 mod tests {
     use super::*;
     use crate::{
-        clock::{Nanos, Rate},
+        clock::Nanos,
         graph::{PacketGraph, Synthetic},
-        policy::PacketStatus,
-        startup::StartupRule,
+        policy::{PacketStatus, deadline_utility::tests::view},
     };
 
     /// Sums over all patterns of losses.
@@ -102,26 +101,8 @@ mod tests {
     fn share(graph: &PacketGraph, sent_number: &[u64], loss_after_loss: f64) -> f64 {
         let count = graph.packets().len();
         let (status, sent_at) = (vec![PacketStatus::InFlight; count], vec![Nanos::ZERO; count]);
-        let view = SenderView {
-            graph,
-            status: &status,
-            sent_at: &sent_at,
-            sent_number,
-            playout_start: Nanos::from_s(1),
-            playing: true,
-            horizon_frame: 100,
-            rate: Rate::from_mbps(1),
-            smoothed_rtt: Nanos::from_ms(50),
-            rtt_variation: Nanos::from_ms(5),
-            minimum_rtt: Nanos::from_ms(40),
-            in_flight: 0,
-            loss: 0.03,
-            loss_after_loss,
-            startup: StartupRule::AfterWait,
-            retransmissions: 2,
-            viewpoint: None,
-        };
-        repaired_share(&view, 0)
+        let view = view(graph, &status, &sent_at);
+        repaired_share(&SenderView { sent_number, loss: 0.03, loss_after_loss, ..view }, 0)
     }
 
     #[test]

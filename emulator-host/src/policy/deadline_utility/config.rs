@@ -31,7 +31,8 @@ pub struct DeadlineUtilityConfig {
     /// A piece is scored per byte of it that is still to be sent; otherwise, as in S(g), per byte that is not
     /// acknowledged, and with U_g.
     pub rest_only: bool,
-    /// Bytes are those of whole datagrams; otherwise, as in S(g), those of packets alone.
+    /// Scores are per byte of whole datagrams, with their headers; otherwise, as in S(g), per byte of packets
+    /// alone. Arrival is predicted with headers either way.
     pub headers: bool,
     /// Utility counts as a share of all positive utility of its frame; otherwise a unit of it counts the same
     /// in every frame.

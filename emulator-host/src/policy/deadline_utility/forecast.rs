@@ -170,10 +170,8 @@ impl Forecast {
 mod tests {
     use super::*;
     use crate::{
-        clock::Rate,
         graph::{GroupIndex, Synthetic, pieces::Division},
-        policy::PacketStatus,
-        startup::StartupRule,
+        policy::{PacketStatus, deadline_utility::tests::view},
     };
 
     /// Windows of a second, of which frame 0 is shown at `start_ms`, over 1 Mbit/s and 20 ms one way.
@@ -181,23 +179,12 @@ mod tests {
         let count = graph.packets().len();
         let (status, sent_at) = (vec![PacketStatus::Waiting; count], vec![Nanos::ZERO; count]);
         let view = SenderView {
-            graph,
-            status: &status,
-            sent_at: &sent_at,
             playout_start: Nanos::from_ms(start_ms),
             playing: now_ms >= start_ms,
             horizon_frame,
-            rate: Rate::from_mbps(1),
             smoothed_rtt: Nanos::from_ms(40),
             rtt_variation: Nanos::from_ms(2),
-            minimum_rtt: Nanos::from_ms(40),
-            in_flight: 0,
-            loss: 0.0,
-            loss_after_loss: 0.0,
-            sent_number: &[],
-            startup: StartupRule::AfterWait,
-            retransmissions: 2,
-            viewpoint: None,
+            ..view(graph, &status, &sent_at)
         };
         Forecast::new(&view, &DeadlineUtilityConfig::default(), Nanos::from_ms(now_ms))
     }

@@ -171,37 +171,10 @@ fn left(view: &SenderView<'_>, group: GroupIndex) -> (u32, u32) {
 mod tests {
     use super::*;
     use crate::{
-        clock::Rate,
         graph::{ClosureRule, Synthetic, Utilities},
+        policy::deadline_utility::tests::view,
         rng::stream,
     };
-
-    fn view<'a>(
-        graph: &'a PacketGraph,
-        status: &'a [PacketStatus],
-        sent_at: &'a [Nanos],
-        startup: StartupRule,
-    ) -> SenderView<'a> {
-        SenderView {
-            graph,
-            status,
-            playout_start: Nanos::from_s(5),
-            playing: false,
-            horizon_frame: u32::MAX,
-            rate: Rate::from_mbps(5),
-            smoothed_rtt: Nanos::from_ms(50),
-            rtt_variation: Nanos::from_ms(5),
-            minimum_rtt: Nanos::from_ms(40),
-            in_flight: 0,
-            sent_at,
-            loss: 0.0,
-            loss_after_loss: 0.0,
-            sent_number: &[],
-            startup,
-            retransmissions: 2,
-            viewpoint: None,
-        }
-    }
 
     /// The choice by its definition, over all groups and their closures.
     fn plain(view: &SenderView<'_>) -> Option<GroupIndex> {
@@ -245,13 +218,12 @@ mod tests {
                 let mut opening = Opening::default();
                 let (mut choices, mut enough) = (0, false);
                 for _ in 0..2_000 {
-                    let chosen = opening.choose(&view(&graph, &status, &sent_at, rule));
-                    assert_eq!(chosen, plain(&view(&graph, &status, &sent_at, rule)));
+                    let seen = SenderView { startup: rule, ..view(&graph, &status, &sent_at) };
+                    let chosen = opening.choose(&seen);
+                    assert_eq!(chosen, plain(&seen));
                     choices += u32::from(chosen.is_some());
                     enough |= chosen.is_none();
-                    let first = chosen.and_then(|target| {
-                        first_of_closure(&view(&graph, &status, &sent_at, rule), target, Nanos::ZERO)
-                    });
+                    let first = chosen.and_then(|target| first_of_closure(&seen, target, Nanos::ZERO));
                     let any = PacketIndex(random.up_to(graph.packets().len() as u64 - 1) as u32);
                     let after = [PacketStatus::Waiting, PacketStatus::InFlight, PacketStatus::Delivered];
                     let after = after[random.up_to(2) as usize];

@@ -177,8 +177,7 @@ impl Plan {
         self.ready.clear();
         self.enter(view);
         let forecast = Forecast::new(view, config, now);
-        let loss_in_flight = if config.survival { forecast.loss } else { 0.0 };
-        self.look_down(view, &forecast, loss_in_flight, now);
+        self.look_down(view, &forecast, now);
         self.look_up(view, &forecast, config);
     }
 
@@ -201,9 +200,9 @@ impl Plan {
         self.division.pieces.order()[place as usize] as usize
     }
 
-    /// From what is needed to what needs it: what is sent, what is missing, what may be lost, where one
-    /// datagram in flight is with the probability `loss`. Drops what is done or past.
-    fn look_down(&mut self, view: &SenderView<'_>, forecast: &Forecast, loss: f64, now: Nanos) {
+    /// From what is needed to what needs it: what is sent, what is missing, what may be lost. Drops what is
+    /// done or past.
+    fn look_down(&mut self, view: &SenderView<'_>, forecast: &Forecast, now: Nanos) {
         let mut open = std::mem::take(&mut self.open);
         open.retain(|place| {
             let piece = self.piece_at(*place);
@@ -224,7 +223,7 @@ impl Plan {
             if rest.in_flight > 0 {
                 for packet in self.division.pieces.packets(piece) {
                     if view.status[packet.at()] == PacketStatus::InFlight {
-                        chance *= survival(view, packet, loss, now);
+                        chance *= survival(view, packet, forecast.loss, now);
                     }
                 }
             }
@@ -268,12 +267,13 @@ impl Plan {
         let parts = pieces.parts(piece);
         let value = forecast.value(parts, &self.division.sums, rest.waiting_bytes)
             * config.viewport_weight(view, parts);
+        let chance = if config.survival { self.chance[piece] } else { 1.0 };
         let bytes = rest.waiting_bytes - uncounted_bytes(rest.waiting, config);
-        let mut block = Block { value: value * self.chance[piece], bytes: f64::from(bytes) };
+        let mut block = Block { value: value * chance, bytes: f64::from(bytes) };
         if !config.rest_only {
             let own = own_bytes(pieces, piece);
             let begun = if own > 0 { 1.0 - f64::from(rest.waiting_bytes) / f64::from(own) } else { 0.0 };
-            // U_g; its ½ is the same for all.
+            // U_g = ½ (1 + the share that is under way or there), but for the ½, which all have.
             block.value *= 1.0 + begun;
             block.bytes += f64::from(rest.in_flight_bytes - uncounted_bytes(rest.in_flight, config));
         }

@@ -2,9 +2,8 @@ use codec_core::internals::ids::{ClusterId, Group as GroupId, Level, PacketId, S
 
 use super::*;
 use crate::{
-    clock::Rate,
     graph::{ClosureRule, GraphParts, Group, GroupIndex, Packet, RepairSet},
-    startup::StartupRule,
+    policy::deadline_utility::tests::view,
 };
 
 /// Groups, each of packets of its own: (level, bytes of each packet, utility, needs).
@@ -44,28 +43,6 @@ fn graph(groups: &[(u8, &[u16], f64, &[u32])]) -> PacketGraph {
         profile: ClosureRule::AllOrNothing,
     })
     .unwrap()
-}
-
-fn view<'a>(graph: &'a PacketGraph, status: &'a [PacketStatus], sent_at: &'a [Nanos]) -> SenderView<'a> {
-    SenderView {
-        graph,
-        status,
-        sent_at,
-        playout_start: Nanos::from_s(1),
-        playing: false,
-        horizon_frame: 100,
-        rate: Rate::from_mbps(1),
-        smoothed_rtt: Nanos::from_ms(50),
-        rtt_variation: Nanos::from_ms(5),
-        minimum_rtt: Nanos::from_ms(40),
-        in_flight: 0,
-        loss: 0.01,
-        loss_after_loss: 0.01,
-        sent_number: &[],
-        startup: StartupRule::AfterWait,
-        retransmissions: 2,
-        viewpoint: None,
-    }
 }
 
 /// A plan that has heard of what of `view` does not wait.
@@ -142,6 +119,24 @@ fn what_needs_a_packet_that_may_be_lost_waits() {
     assert_eq!(at(20, &config), Some(PacketIndex(1)));
     assert_eq!(at(400, &config), Some(PacketIndex(2)));
     assert_eq!(at(400, &DeadlineUtilityConfig { survival: false, ..config }), Some(PacketIndex(1)));
+}
+
+/// A packet is lost that another one needs, which is there already: sent again, it brings both.
+#[test]
+fn a_lost_packet_is_credited_with_what_is_there_and_needs_it() {
+    let graph = graph(&[(1, &[100], 0.01, &[]), (1, &[100], 1.0, &[0]), (1, &[100], 0.5, &[])]);
+    let status = |first| [first, PacketStatus::Delivered, PacketStatus::Waiting];
+    let (before, after) = (status(PacketStatus::InFlight), status(PacketStatus::Waiting));
+    let sent_at = [Nanos::ZERO; 3];
+    let (before, after) = (view(&graph, &before, &sent_at), view(&graph, &after, &sent_at));
+    for survival in [true, false] {
+        let config = DeadlineUtilityConfig { survival, ..DeadlineUtilityConfig::default() };
+        let mut plan = plan(&before);
+        plan.renew(&before, &config, Nanos::ZERO);
+        plan.on_status(PacketIndex(0), 100, [PacketStatus::InFlight, PacketStatus::Waiting]);
+        plan.renew(&after, &config, Nanos::ZERO);
+        assert_eq!(plan.next(&after, Nanos::ZERO), Some(PacketIndex(0)), "survival: {survival}");
+    }
 }
 
 /// The last frame is shown in 67 ms: 20 ms are in time, 100 ms more of queue are not.

@@ -146,11 +146,13 @@ mod tests {
         let study = Study::make(size).unwrap();
         let options = DeliveryOptions { updates: 1, ..study.options(Variant::Reconstruction) };
         let tuned = study.train(&options).unwrap();
-        let look = |probability| {
+        let look = |probability, states| {
             let masks = study.masks(LossModel::Iid { probability }).unwrap();
-            Appearance::of(&study, &tuned, &masks, &Perceptual { network: None, states: 6 }).unwrap()
+            Appearance::of(&study, &tuned, &masks, &Perceptual { network: None, states }).unwrap()
         };
-        let (none, some, many) = (look(0.0), look(0.1), look(0.5));
+        let (none, some, many) = (look(0.0, 6), look(0.1, 6), look(0.5, 6));
+        let few = look(0.5, 2);
+        assert_eq!((&few.flip.states[..], few.flicker), (&many.flip.states[..2], many.flicker.clone()));
         let measures: [fn(&Appearance) -> Measured; 2] = [|a| a.flip.clone(), |a| a.flicker.clone()];
         for of in measures {
             let (none, some, many) = (of(&none), of(&some), of(&many));

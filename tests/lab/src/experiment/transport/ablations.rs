@@ -1,5 +1,5 @@
-//! Takes from the default scheduler what only an encoded stream with a start of its own can show: the rule
-//! that opens it, parity that competes, forecasts whose error grows, gains, packets as pieces.
+//! Takes from the default scheduler, part by part, what an encoded stream with a start of its own shows. Made
+//! graphs have no such start, no parity and no measured gains; what they show too stands in rows of bound.
 
 use anyhow::Result;
 use emulator_host::{
