@@ -43,13 +43,17 @@ struct Typed {
         value_parser = clap::value_parser!(u16).range(1..=128)
     )]
     perceptual_states: u16,
-    /// Of `workloads`, which takes an hour, only the streams whose names hold this, for example cloth.
+    /// Of `workloads` and `erasure`, which take an hour, only streams or scenes whose names hold this, for
+    /// example cloth or sheet.
     #[arg(long, value_name = "NAME")]
     only: Option<String>,
     /// Print figures as JSON on standard output, and nothing else there.
     #[arg(long)]
     json: bool,
 }
+
+/// Benches of several streams or scenes, of which one can be chosen.
+const PARTED: [&str; 2] = ["workloads", "erasure"];
 
 fn main() -> ExitCode {
     match output::parse::<Typed>() {
@@ -67,6 +71,11 @@ fn run(typed: &Typed) -> Result<VerbOutput> {
     setup.lpips.clone_from(&typed.lpips);
     setup.perceptual_states = usize::from(typed.perceptual_states);
     setup.only.clone_from(&typed.only);
+    if let Some(name) =
+        typed.name.as_ref().filter(|name| typed.only.is_some() && !PARTED.contains(&&name[..]))
+    {
+        bail!("--only is for {}; {name} is run as a whole", PARTED.join(" and "));
+    }
     let mut benches = Vec::new();
     for experiment in chosen(typed.name.as_deref().unwrap_or("all"))? {
         let bench = (experiment.run)(&setup)?;

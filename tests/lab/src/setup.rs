@@ -26,7 +26,7 @@ pub struct Setup {
     pub lpips: Option<PathBuf>,
     /// States per loss that a study of states measures with FLIP and LPIPS.
     pub perceptual_states: usize,
-    /// Part of the names of the streams that `workloads` delivers; all without.
+    /// Part of the names of what `workloads` and `erasure` are about; all of it without.
     pub only: Option<String>,
 }
 
@@ -71,6 +71,20 @@ impl Setup {
         if !self.quiet.0 {
             eprint!("{}", bench.rows(first));
         }
+    }
+
+    /// Those of `names` that hold what was chosen.
+    ///
+    /// # Errors
+    /// None does.
+    pub fn chosen<'n>(&self, names: &[&'n str]) -> Result<Vec<&'n str>> {
+        let Some(part) = &self.only else { return Ok(names.to_vec()) };
+        let chosen: Vec<_> = names.iter().copied().filter(|name| name.contains(part)).collect();
+        if chosen.is_empty() {
+            let with = if self.quick { " with --quick" } else { "" };
+            bail!("--only is {part:?}; part of one of {} is allowed{with}", names.join(", "));
+        }
+        Ok(chosen)
     }
 
     /// `path` in the data folder, or why it is not there (for [`Bench::skipped`]).

@@ -30,6 +30,18 @@ fn an_unknown_bench_is_refused_and_no_bench_is_not_a_command() {
 }
 
 #[test]
+fn a_part_is_chosen_of_benches_that_have_parts() {
+    let says = |args: &[&str]| {
+        let output = lab(args);
+        assert_eq!(output.status.code(), Some(1));
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert!(says(&["rate", "--only", "fox"]).contains("for workloads and erasure; rate is run as a whole"));
+    let unknown = says(&["erasure", "--quick", "--only", "balls"]);
+    assert!(unknown.contains("\"balls\"; part of one of sheet is allowed with --quick"), "{unknown}");
+}
+
+#[test]
 fn a_bench_prints_its_figures_as_json_and_nothing_else() {
     let output = lab(&["repair", "--quick", "--json"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

@@ -26,6 +26,13 @@ const GROUP_PERCENT: [f64; 2] = [5.0, 10.0];
 /// Weight of the complete state in the objective that heeds it more; the paper's is 0.5.
 const CLEAN_HEAVIER: f64 = 1.5;
 
+/// The scenes, by name: one that is made, and one that is trained from its photographs.
+const SHEET: &str = "sheet";
+const BALLS: &str = "bouncingballs";
+/// Parity that streams are sent with, by the names of its rows.
+const PROTECTIONS: [(&str, Protection); 3] =
+    [("repaired", Protection::STANDARD), ("strong", Protection::STRONG), ("full", Protection::FULL)];
+
 /// What is measured of one loss.
 #[derive(Clone, Debug)]
 struct Tested {
@@ -42,36 +49,40 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     if perceptual.network.is_none() {
         bench.skipped.push("LPIPS: no weights of it are here (see --lpips)".into());
     }
-    let sheet = Study::make(size)?;
-    let words = size.words();
+    let scenes = setup.chosen(if setup.quick { &[SHEET] } else { &[SHEET, BALLS] })?;
     let with = (setup, &perceptual);
-    let pairs = measure(&mut bench, ("", &words), &sheet, with)?;
-    groups(&mut bench, &sheet, &pairs, with)?;
-    clean_heavier(&mut bench, &sheet, &pairs)?;
-    drop(pairs);
-    let sheet = sheet.protected(Protection::STANDARD)?;
-    measure(&mut bench, ("repaired.", "the same"), &sheet, with)?;
-    let sheet = sheet.protected(Protection::STRONG)?;
-    measure(&mut bench, ("strong.", "the same"), &sheet, with)?;
-    measure(&mut bench, ("full.", "the same"), &sheet.protected(Protection::FULL)?, with)?;
-    if setup.quick {
-        return Ok(bench);
+    if scenes.contains(&SHEET) {
+        of_sheet(&mut bench, size, with)?;
     }
-    let (folder, name) = ("scenes/dnerf-bouncingballs", "bouncingballs");
-    if let Some(path) = setup.data(folder, &mut bench)? {
-        let study = Study::of_photographs(&path, Size { seeds: 1, ..size })?;
-        let words = study.photographs_in_words(name);
+    if scenes.contains(&BALLS)
+        && let Some(path) = setup.data("scenes/dnerf-bouncingballs", &mut bench)?
+    {
+        let mut study = Study::of_photographs(&path, Size { seeds: 1, ..size })?;
+        let words = study.photographs_in_words(BALLS);
         measure(&mut bench, ("bouncingballs.", &words), &study, with)?;
-        let mut study = study;
-        let levels =
-            [("repaired", Protection::STANDARD), ("strong", Protection::STRONG), ("full", Protection::FULL)];
-        for (prefix, repair) in levels {
+        for (prefix, repair) in PROTECTIONS {
             study = study.protected(repair)?;
             let words = format!("the same, {} packets", study.encoded.stream.packets().len());
             measure(&mut bench, (&format!("bouncingballs.{prefix}."), &words), &study, with)?;
         }
     }
     Ok(bench)
+}
+
+/// Adds the figures of the made scene.
+fn of_sheet(bench: &mut Bench, size: Size, with: (&Setup, &Perceptual)) -> Result<()> {
+    let mut sheet = Study::make(size)?;
+    let pairs = measure(bench, ("", &size.words()), &sheet, with)?;
+    groups(bench, &sheet, &pairs, with)?;
+    let first = bench.figures.len();
+    clean_heavier(bench, &sheet, &pairs)?;
+    with.0.show(bench, first);
+    drop(pairs);
+    for (prefix, repair) in PROTECTIONS {
+        sheet = sheet.protected(repair)?;
+        measure(bench, (&format!("{prefix}."), "the same"), &sheet, with)?;
+    }
+    Ok(())
 }
 
 fn protocol(perceptual: &Perceptual) -> String {

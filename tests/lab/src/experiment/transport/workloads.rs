@@ -1,7 +1,7 @@
 //! Compares schedulers over streams of many lengths and rates, on recordings that are held out: no constant
 //! was chosen on them, but to scale gains was, on four of them and three of the streams.
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use dgs::{args::SceneArgs, pipeline};
 use trainer_host::Scene;
 
@@ -114,14 +114,8 @@ pub(in crate::experiment) fn run(setup: &Setup) -> Result<Bench> {
 /// A name that none has.
 fn chosen(setup: &Setup) -> Result<Vec<&'static Workload>> {
     let all: Vec<&Workload> = WORKLOADS.iter().filter(|workload| !setup.quick || workload.quick).collect();
-    let Some(part) = &setup.only else { return Ok(all) };
-    let chosen: Vec<_> = all.iter().copied().filter(|workload| workload.name.contains(part)).collect();
-    if chosen.is_empty() {
-        let names: Vec<_> = all.iter().map(|workload| workload.name).collect();
-        let with = if setup.quick { " with --quick" } else { "" };
-        bail!("--only is {part:?}; part of one of {} is allowed{with}", names.join(", "));
-    }
-    Ok(chosen)
+    let names = setup.chosen(&all.iter().map(|workload| workload.name).collect::<Vec<_>>())?;
+    Ok(all.into_iter().filter(|workload| names.contains(&workload.name)).collect())
 }
 
 impl Workload {
