@@ -10,7 +10,7 @@ use std::{
     fs::{self, File},
     io,
     path::{Path, PathBuf},
-    process::{Child, ExitStatus},
+    process::{Child, ChildStdin, Command, ExitStatus},
     sync::{Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
@@ -58,11 +58,17 @@ fn writers() -> MutexGuard<'static, BTreeMap<u32, Child>> {
 pub(crate) struct Writer(u32);
 
 impl Writer {
-    /// `child`, which has just been started.
-    pub(crate) fn new(child: Child) -> Self {
-        let id = child.id();
-        writers().insert(id, child);
-        Self(id)
+    /// Starts `command`; with it the pipe to its standard input, where there is one.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub(crate) fn start(command: &mut Command) -> io::Result<(Self, Option<ChildStdin>)> {
+        // Held from before its start: a process that is ended meanwhile ends it, too.
+        let mut writers = writers();
+        let mut child = command.spawn()?;
+        let (id, pipe) = (child.id(), child.stdin.take());
+        writers.insert(id, child);
+        Ok((Self(id), pipe))
     }
 
     /// How it has ended; `None` while it runs. Whoever asks while the process is being ended waits for that.
@@ -165,11 +171,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("late");
         let started = |script: &str| {
-            let mut shell = std::process::Command::new("sh");
+            let mut shell = Command::new("sh");
             shell.args(["-c", script, "sh"]).arg(&path).stdin(std::process::Stdio::piped());
-            let mut child = shell.spawn().unwrap();
-            let pipe = child.stdin.take();
-            (Writer::new(child), pipe)
+            Writer::start(&mut shell).unwrap()
         };
         // As ffmpeg does, it writes once there is no more to read.
         let (writer, pipe) = started("read line; echo late > \"$1\"");

@@ -81,7 +81,8 @@ impl FfmpegVideo {
         };
         let pending = PendingFile::begin(target)?;
         let log = tempfile::tempfile().context("ffmpeg: cannot keep what it says")?;
-        let mut child = Command::new("ffmpeg")
+        let mut command = Command::new("ffmpeg");
+        command
             .args(["-hide_banner", "-loglevel", "error", "-y"])
             .args(["-f", "rawvideo", "-pix_fmt", "rgb24"])
             .args(["-video_size", &format!("{}x{}", size.0, size.1)])
@@ -95,11 +96,9 @@ impl FfmpegVideo {
             .arg(pending.path())
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
-            .stderr(log.try_clone().context("ffmpeg: cannot keep what it says")?)
-            .spawn()
-            .context("ffmpeg: cannot run")?;
-        let pipe = child.stdin.take();
-        Ok(Self { ffmpeg: Writer::new(child), pipe, pending, target: target.to_owned(), size, log })
+            .stderr(log.try_clone().context("ffmpeg: cannot keep what it says")?);
+        let (ffmpeg, pipe) = Writer::start(&mut command).context("ffmpeg: cannot run")?;
+        Ok(Self { ffmpeg, pipe, pending, target: target.to_owned(), size, log })
     }
 
     /// Adds the next picture.
