@@ -242,7 +242,7 @@ impl<'a> Trainer<'a> {
         }
         let degree = schedule::degree(&self.options, progress);
         if state.model.gaussians.begin_bands(degree, state.step) {
-            // It is one of fewer bands.
+            // The average so far has fewer bands.
             state.average = None;
         }
         // While views of other times are new, the loss rises with what they show.
