@@ -17,9 +17,8 @@ use super::{
     views::{Training, Views},
 };
 
-/// Instants that motion is looked at, evenly spread over the clip: twice as many as the finest spline has
-/// functions.
-const INSTANTS: usize = 64;
+/// Instants that motion is looked at, evenly spread over the clip, at least.
+const MIN_INSTANTS: usize = 64;
 
 /// How many training views decide whether what hardly moves may stand still.
 const VIEWS: usize = 16;
@@ -86,7 +85,9 @@ impl Model {
         if self.nodes.is_empty() {
             return 0;
         }
-        let times = (0..INSTANTS).map(|instant| instant as f32 / (INSTANTS - 1) as f32);
+        // No piece of a spline is passed over.
+        let instants = MIN_INSTANTS.max(2 * self.nodes.finest());
+        let times = (0..instants).map(|instant| instant as f32 / (instants - 1) as f32);
         let poses: Vec<_> = times.map(|time| self.nodes.poses(time)).collect();
         let skinned: Vec<Skinned> = poses.iter().map(|poses| self.nodes.skin(poses)).collect();
         let (gaussians, followed) = (&self.gaussians, &self.followed);

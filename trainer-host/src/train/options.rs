@@ -111,6 +111,9 @@ pub struct Schedule {
     pub all_nodes: f64,
     /// From here nodes can change their motion twice as fast; 1: never.
     pub fine_time: f64,
+    /// From here nodes can change their motion twice as fast again, where training photographs have at least
+    /// 128 different times; 1: never.
+    pub finest_time: f64,
     /// From here on, four times until values are rounded and not before a thousand steps, Gaussians that
     /// hardly move are stood still.
     pub stand_still_from: f64,
@@ -147,6 +150,7 @@ impl Default for Schedule {
             quarter_of_nodes: 0.1,
             all_nodes: 0.22,
             fine_time: 0.3,
+            finest_time: 0.35,
             stand_still_from: 0.35,
             density_end: 0.6,
             sizes: [0.12, 0.35, 0.6],
@@ -342,6 +346,7 @@ impl TrainOptions {
             quarter_of_nodes,
             all_nodes,
             fine_time,
+            finest_time,
             stand_still_from,
             density_end,
             sizes: [first, second, third],
@@ -358,6 +363,7 @@ impl TrainOptions {
             ("schedule.quarter_of_nodes", quarter_of_nodes),
             ("schedule.all_nodes", all_nodes),
             ("schedule.fine_time", fine_time),
+            ("schedule.finest_time", finest_time),
             ("schedule.stand_still_from", stand_still_from),
             ("schedule.density_end", density_end),
             ("schedule.sizes[0]", first),

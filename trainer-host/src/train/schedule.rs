@@ -11,6 +11,14 @@ use super::{
 /// Shortest side of reduced photographs, pixels.
 pub(super) const MIN_SIDE: u32 = 64;
 
+/// Functions of the spline that comes at [`Schedule::fine_time`].
+const FINE_TIME: usize = 32;
+/// Functions of the spline that comes at [`Schedule::finest_time`].
+const FINEST_TIME: usize = 64;
+/// Different times of photographs that each function of the finest spline needs: with fewer it would follow
+/// single photographs.
+const INSTANTS_PER_FUNCTION: usize = 2;
+
 /// How the photographs shrink for a part of the training.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Sizes(Vec<u32>);
@@ -55,6 +63,19 @@ pub(super) fn node_stages(options: &TrainOptions) -> Vec<(f64, usize)> {
         (schedule.all_nodes, nodes),
     ];
     stages.map(|(from, count)| (from, count.min(nodes))).into()
+}
+
+/// Functions of the finest spline that nodes must have to move by, of photographs of so many different times;
+/// 0: those they began with are enough.
+pub(super) fn finest_spline(schedule: &Schedule, progress: f64, instants: usize) -> usize {
+    let has_begun = |from: f64| (from..1.0).contains(&progress);
+    if has_begun(schedule.finest_time) && instants >= INSTANTS_PER_FUNCTION * FINEST_TIME {
+        FINEST_TIME
+    } else if has_begun(schedule.fine_time) {
+        FINE_TIME
+    } else {
+        0
+    }
 }
 
 /// Shares of the training at which Gaussians that hardly move are stood still.
@@ -112,4 +133,20 @@ pub(super) fn exposure_rate(options: &TrainOptions, progress: f64) -> f32 {
 /// Weight of rigidity.
 pub(super) fn rigidity(options: &TrainOptions, progress: f64) -> f32 {
     options.rigidity * (1.0 - progress).max(options.schedule.rigidity_decay) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn motion_becomes_as_fast_as_photographs_tell_of() {
+        let schedule = Schedule { fine_time: 0.3, finest_time: 0.5, ..Schedule::default() };
+        let finest = |progress, instants| finest_spline(&schedule, progress, instants);
+        assert_eq!([0.29, 0.3, 0.49, 0.5].map(|progress| finest(progress, 128)), [0, 32, 32, 64]);
+        // Of fewer instants than two per function the finest spline would follow single photographs.
+        assert_eq!([0.3, 0.5, 0.9].map(|progress| finest(progress, 127)), [32, 32, 32]);
+        let never = Schedule { fine_time: 1.0, finest_time: 1.0, ..schedule };
+        assert_eq!(finest_spline(&never, 1.0, 128), 0);
+    }
 }

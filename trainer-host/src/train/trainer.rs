@@ -48,8 +48,6 @@ const CHECK_EVERY: u32 = 100;
 const KEEP_EVERY: u32 = 5;
 /// Steps before which what hardly moves may not have learnt to.
 const STAND_STILL_FROM: u32 = 1000;
-/// Functions over time of the finest spline that nodes move by.
-const FINEST_TIME: usize = 32;
 /// One step in this many shows the whole photograph and not only what its outline needs.
 const WHOLE_EVERY: u32 = 8;
 
@@ -57,6 +55,8 @@ const WHOLE_EVERY: u32 = 8;
 #[derive(Debug)]
 pub struct Trainer<'a> {
     views: &'a Views<Training>,
+    /// Different times of the views.
+    instants: usize,
     has_alpha: bool,
     options: TrainOptions,
     region: Region<'a>,
@@ -125,6 +125,7 @@ impl<'a> Trainer<'a> {
             Encoding { options: EncodeOptions::default(), frames: dataset.frames, frames_per_second: 30.0 };
         Ok(Self {
             views: &dataset.train,
+            instants: dataset.train.instants(),
             has_alpha: dataset.has_alpha,
             pyramid: Pyramid::new(photographs, options.max_side),
             options,
@@ -257,9 +258,9 @@ impl<'a> Trainer<'a> {
             state.node_stages += 1;
         }
         let nodes = &mut state.model.nodes;
-        let is_due = (self.options.schedule.fine_time..1.0).contains(&progress);
-        if is_due && !nodes.is_empty() && nodes.finest() < FINEST_TIME {
-            nodes.refine_time(FINEST_TIME);
+        let finest = schedule::finest_spline(&self.options.schedule, progress, self.instants);
+        if !nodes.is_empty() && nodes.finest() < finest {
+            nodes.refine_time(finest);
         }
     }
 
