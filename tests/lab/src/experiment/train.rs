@@ -3,6 +3,7 @@
 mod measure;
 mod step;
 mod switches;
+mod tiles;
 
 use std::time::Instant;
 
@@ -39,9 +40,10 @@ pub fn run(setup: &Setup) -> Result<Bench> {
              processor time on one thread, medians of {runs} interleaved runs; loss 0.8 L1 + 0.2 (1 - SSIM); \
              peer: MSE + 0.20 (1 - SSIM) with a target \
              prepared beforehand; `device`: wall time of picture, loss, gradients and statistics, the \
-             processor on all threads, a graphics device with the loss on the processor; {}; {}",
+             processor on all threads, a graphics device with the loss on the processor; {}; {}; {}",
             step::PROTOCOL,
-            switches::PROTOCOL
+            switches::PROTOCOL,
+            tiles::PROTOCOL
         ),
     );
     let scene = synth("figure", gaussians, 4)?;
@@ -61,6 +63,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let side = sides[0];
     let camera = Camera::look_at([2.6, 0.6, 3.4], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 0.69, side, side)?;
     switches::tolerances(&mut bench, &splats, &photograph(&seen, &camera)?, &camera)?;
+    tiles::variance(&mut bench, &scene, side, if setup.quick { 200 } else { 3000 })?;
     Ok(bench)
 }
 
