@@ -234,7 +234,7 @@ mod tests {
 
     #[test]
     fn gradients_of_squares_add_up_to_that_of_the_photograph() -> Result<()> {
-        let scene = crate::setup::synth("figure", 300, 2)?;
+        let scene = crate::setup::synth("figure", 1000, 2)?;
         let dataset = rendered(&scene, "figure", &RenderedOptions { cameras: 1, test_cameras: 1, side: 80 })?;
         let view = dataset.train.photographs().first().context("no photograph")?;
         let instant = scene.instant(1).context("no frame 1")?;
