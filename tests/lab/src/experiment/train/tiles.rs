@@ -1,7 +1,7 @@
 //! Weighs drawing tiles of a photograph at random: the noise that it adds to a step against the time it
 //! saves.
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use render_host::{
     Camera, Gradients, Image, Loss, Renderer, Settings, Splats, Workspace,
     adjoint::{
@@ -213,6 +213,8 @@ fn chances(weights: &[f64], expected: f64) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use anyhow::Context;
+
     use super::*;
 
     #[test]
