@@ -65,8 +65,8 @@ pub(super) fn node_stages(options: &TrainOptions) -> Vec<(f64, usize)> {
     stages.map(|(from, count)| (from, count.min(nodes))).into()
 }
 
-/// Functions of the finest spline that nodes must have to move by, of photographs of so many different times;
-/// 0: those they began with are enough.
+/// Functions over time that the finest spline of nodes must have by now, where training photographs have
+/// `instants` different times; 0: those that nodes begin with are enough.
 pub(super) fn finest_spline(schedule: &Schedule, progress: f64, instants: usize) -> usize {
     let has_begun = |from: f64| (from..1.0).contains(&progress);
     if has_begun(schedule.finest_time) && instants >= INSTANTS_PER_FUNCTION * FINEST_TIME {

@@ -32,7 +32,7 @@ pub(super) const PROTOCOL: &str = "tiles: half of the squares of 32 pixels that 
 const SQUARE: u32 = 32;
 /// Of the mean error of squares, what is added to each: none has no chance.
 const FLOOR: f64 = 0.1;
-/// How far the training says that it is.
+/// Progress that the training reaches, 0 to 1 of its schedule: with all nodes, and Gaussians still added.
 const PROGRESS: f64 = 0.5;
 /// How often times are taken.
 const RUNS: usize = 5;
@@ -68,9 +68,20 @@ impl Loss for Within<'_> {
 struct Parts {
     /// Gradient of positions of the whole photograph.
     whole: Vec<f64>,
-    /// Of each square, the square of the length of its gradient, and its error.
-    squares: Vec<(f64, f64)>,
+    squares: Vec<Part>,
 }
+
+/// What one square gives.
+#[derive(Clone, Copy)]
+struct Part {
+    /// Square of the length of its gradient of positions.
+    power: f64,
+    /// Sum of absolute differences between picture and photograph.
+    error: f64,
+}
+
+/// The weight of a square among others, whose mean error is given: its chance follows it.
+type Weight = fn(Part, f64) -> f64;
 
 /// Rows of a scene of `steps` steps on its own renders.
 ///
@@ -86,9 +97,9 @@ pub(super) fn variance(bench: &mut Bench, scene: &Scene, side: u32, steps: u32) 
     let (parts, time) = photographs(&dataset, &trainer)?;
     let between = between(&parts);
     for (name, weight) in [
-        ("even", (|_, _| 1.0) as fn((f64, f64), f64) -> f64),
-        ("by_error", |(_, error), mean| error + FLOOR * mean),
-        ("by_gradient", |(length, _), _| length.sqrt()),
+        ("even", (|_, _| 1.0) as Weight),
+        ("by_error", |part, mean| part.error + FLOOR * mean),
+        ("by_gradient", |part, _| part.power.sqrt()),
     ] {
         let added = parts.iter().map(|parts| added(&parts.squares, weight)).sum::<f64>() / parts.len() as f64;
         let variance = added / between;
@@ -152,9 +163,9 @@ fn of_photograph(
             let square = [left, top, (left + SQUARE).min(width), (top + SQUARE).min(height)];
             let within = Within { loss: &loss, square };
             render_and_gradients_into(&mut workspace, splats, camera, settings, &within, &mut out)?;
-            let length = squared(&positions(&out));
-            if length > 0.0 {
-                squares.push((length, error(&picture, &target, square)));
+            let power = squared(&positions(&out));
+            if power > 0.0 {
+                squares.push(Part { power, error: error(&picture, &target, square) });
             }
         }
     }
@@ -193,11 +204,11 @@ fn between(parts: &[Parts]) -> f64 {
 
 /// Variance that drawing half of the squares adds, `Σ (1/p - 1) |g|²`: each is drawn by itself with a
 /// chance `p` that follows its weight.
-fn added(squares: &[(f64, f64)], weight: fn((f64, f64), f64) -> f64) -> f64 {
-    let mean = squares.iter().map(|(_, error)| error).sum::<f64>() / squares.len().max(1) as f64;
-    let weights: Vec<f64> = squares.iter().map(|&square| weight(square, mean)).collect();
+fn added(squares: &[Part], weight: Weight) -> f64 {
+    let mean = squares.iter().map(|part| part.error).sum::<f64>() / squares.len().max(1) as f64;
+    let weights: Vec<f64> = squares.iter().map(|&part| weight(part, mean)).collect();
     let chances = chances(&weights, 0.5 * squares.len() as f64);
-    squares.iter().zip(chances).map(|((length, _), chance)| (1.0 / chance - 1.0) * length).sum()
+    squares.iter().zip(chances).map(|(part, chance)| (1.0 / chance - 1.0) * part.power).sum()
 }
 
 /// Chances of at most 1 that follow `weights` and add up to `expected`.
@@ -226,11 +237,13 @@ mod tests {
             "{found:?}"
         );
         // With even chances of a half every square's own length is added.
-        assert!((added(&[(3.0, 0.1), (5.0, 7.0)], |_, _| 1.0) - 8.0).abs() < 1e-6);
+        let parts = |parts: &[(f64, f64)]| -> Vec<Part> {
+            parts.iter().map(|&(power, error)| Part { power, error }).collect()
+        };
+        assert!((added(&parts(&[(3.0, 0.1), (5.0, 7.0)]), |_, _| 1.0) - 8.0).abs() < 1e-6);
         // Chances that follow the length add least.
-        let squares = [(1.0, 9.0), (4.0, 1.0), (0.25, 5.0), (0.5, 5.0)];
-        let [even, best] = [|_, _| 1.0, |(length, _): (f64, f64), _: f64| length.sqrt()]
-            .map(|weight: fn((f64, f64), f64) -> f64| added(&squares, weight));
+        let squares = parts(&[(1.0, 9.0), (4.0, 1.0), (0.25, 5.0), (0.5, 5.0)]);
+        let (even, best) = (added(&squares, |_, _| 1.0), added(&squares, |part, _| part.power.sqrt()));
         assert!(best < 0.8 * even, "{best} {even}");
     }
 
