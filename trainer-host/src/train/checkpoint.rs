@@ -19,7 +19,7 @@ use super::{
 };
 
 const MAGIC: &str = "DGSTRAIN";
-const VERSION: u16 = 12;
+const VERSION: u16 = 13;
 const HEADER: usize = 14;
 /// A training between two steps, with what it was trained on and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

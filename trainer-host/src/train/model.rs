@@ -148,7 +148,7 @@ impl Model {
     }
 
     /// Where each Gaussian is over the clip.
-    fn trajectories(&self) -> Vec<Trajectory> {
+    pub(super) fn trajectories(&self) -> Vec<Trajectory> {
         let mut trajectories: Vec<Trajectory> = self.gaussians.positions().iter().map(|&p| [p; _]).collect();
         if self.nodes.is_empty() {
             return trajectories;

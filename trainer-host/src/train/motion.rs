@@ -8,6 +8,7 @@
 mod basis;
 mod layer;
 mod nodes;
+pub(super) mod residual;
 mod rigidity;
 mod skinning;
 mod smoothness;

@@ -46,6 +46,9 @@ pub struct TrainOptions {
     pub stand_still_within: f32,
     /// Weight in the loss of how unevenly nodes move over time.
     pub smoothness: f32,
+    /// Weight in the loss of what the motion of a Gaussian costs that its cluster's track does not code: of
+    /// the mean logarithm of its size, from [`Schedule::residual_from`] on.
+    pub residual_weight: f32,
     /// Weight of the mean opacity in the loss.
     pub opacity_weight: f32,
     /// Weight of the mean scale in the loss, extents.
@@ -114,6 +117,8 @@ pub struct Schedule {
     /// From here nodes can change their motion twice as fast again, where training photographs have at least
     /// 128 different times; 1: never.
     pub finest_time: f64,
+    /// From here motion that clusters' tracks do not code has a price; 1: never.
+    pub residual_from: f64,
     /// From here on, four times until values are rounded and not before a thousand steps, Gaussians that
     /// hardly move are stood still.
     pub stand_still_from: f64,
@@ -151,6 +156,7 @@ impl Default for Schedule {
             all_nodes: 0.22,
             fine_time: 0.3,
             finest_time: 0.35,
+            residual_from: 0.35,
             stand_still_from: 0.35,
             density_end: 0.6,
             sizes: [0.12, 0.35, 0.6],
@@ -253,6 +259,7 @@ impl Default for TrainOptions {
             stillness: 1e-2,
             stand_still_within: 0.04,
             smoothness: 0.03,
+            residual_weight: 0.0005,
             opacity_weight: 0.0,
             scale_weight: 0.0,
             density: DensityControl::Split,
@@ -334,6 +341,7 @@ impl TrainOptions {
             ("stillness", self.stillness),
             ("stand_still_within", self.stand_still_within),
             ("smoothness", self.smoothness),
+            ("residual_weight", self.residual_weight),
             ("opacity_weight", self.opacity_weight),
             ("scale_weight", self.scale_weight),
         ];
@@ -347,6 +355,7 @@ impl TrainOptions {
             all_nodes,
             fine_time,
             finest_time,
+            residual_from,
             stand_still_from,
             density_end,
             sizes: [first, second, third],
@@ -364,6 +373,7 @@ impl TrainOptions {
             ("schedule.all_nodes", all_nodes),
             ("schedule.fine_time", fine_time),
             ("schedule.finest_time", finest_time),
+            ("schedule.residual_from", residual_from),
             ("schedule.stand_still_from", stand_still_from),
             ("schedule.density_end", density_end),
             ("schedule.sizes[0]", first),

@@ -5,7 +5,10 @@ use std::borrow::Cow;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use serde::{Deserialize, Serialize};
 
-use super::{average::Average, density::ViewGradients, exposure::Exposures, finish::Finishing, model::Model};
+use super::{
+    average::Average, density::ViewGradients, exposure::Exposures, finish::Finishing, model::Model,
+    motion::residual::Groups,
+};
 
 /// Rollbacks after which a training gives up.
 pub(super) const MAX_ROLLBACKS: u32 = 3;
@@ -34,6 +37,8 @@ pub(super) struct State {
     /// Views drawn, those passed over included.
     pub(super) drawn: u64,
     pub(super) pull: ViewGradients,
+    /// Gaussians that move together, once motion has a price.
+    pub(super) groups: Groups,
     pub(super) mean_loss: f64,
     /// Smallest running mean at this size of photographs.
     pub(super) lowest_loss: f64,
@@ -57,6 +62,7 @@ impl State {
             size: 0,
             drawn: 0,
             pull,
+            groups: Groups::default(),
             mean_loss: 0.0,
             lowest_loss: f64::INFINITY,
             last_density: 0,
@@ -101,6 +107,7 @@ impl State {
             && self.exposures.is_sound()
             && self.average.as_ref().is_none_or(|average| average.fits(&self.model))
             && self.pull.is_sound(self.model.gaussians())
+            && self.groups.is_sound(self.model.gaussians())
             && counts.iter().all(|&count| count <= MAX_STEPS)
             && self.finishing.is_sound(self.model.gaussians())
             && self.rollbacks <= MAX_ROLLBACKS

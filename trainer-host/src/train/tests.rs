@@ -14,6 +14,7 @@ mod diverged;
 mod exposed;
 mod harmonics;
 mod masked;
+mod residual;
 
 /// How far apart two devices may train the same scene in a few steps, dB.
 const TRAINED_TOLERANCE_DB: f64 = 0.1;

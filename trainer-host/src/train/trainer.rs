@@ -26,7 +26,10 @@ use super::{
     freeze::{self, Trial},
     gaussians::TrainedGaussians,
     model::Model,
-    motion::{ControlNodes, TemporalBasis},
+    motion::{
+        ControlNodes, TemporalBasis,
+        residual::{self, Groups},
+    },
     moving_region::MovingRegion,
     options::{DensityControl, TrainOptions},
     parameter::AdamStep,
@@ -48,6 +51,8 @@ const CHECK_EVERY: u32 = 100;
 const KEEP_EVERY: u32 = 5;
 /// Steps before which what hardly moves may not have learnt to.
 const STAND_STILL_FROM: u32 = 1000;
+/// Steps between two groupings of what moves together.
+const GROUP_EVERY: u32 = 1000;
 /// One step in this many shows the whole photograph and not only what its outline needs.
 const WHOLE_EVERY: u32 = 8;
 
@@ -266,13 +271,14 @@ impl<'a> Trainer<'a> {
 
     /// Prunes, or begins to round, where the schedule says so.
     fn finish(&mut self, progress: f64) -> Result<(), TrainError> {
-        let State { model, finishing, pull, size, .. } = &mut self.state;
+        let State { model, finishing, pull, groups, size, .. } = &mut self.state;
         let size_of = |view| self.pyramid.size(view, *size);
         let differentiator = &mut self.memory.differentiator;
         let options = &self.options;
         let needed = finishing.pruned(options, progress, model, self.views, size_of, differentiator)?;
         if let Some(needed) = needed {
             model.select(&needed);
+            groups.select(&needed);
             *pull = ViewGradients::none(needed.len());
         }
         if finishing.rounding_due(&options.finish, progress) {
@@ -340,6 +346,10 @@ impl<'a> Trainer<'a> {
     /// Takes the gradients in memory back to all parameters, and a step against them.
     fn update(&mut self, view: usize, progress: f64) {
         let time = self.views.photographs()[view].time;
+        if progress < self.options.schedule.density_end {
+            self.state.pull.add(&self.memory.gradients.splats, &self.memory.statistics);
+        }
+        self.price_residuals(progress);
         let gradients = &self.memory.gradients;
         let state = &mut self.state;
         let Model { gaussians, nodes, followed, .. } = &mut state.model;
@@ -356,9 +366,6 @@ impl<'a> Trainer<'a> {
         gaussians.regularise(self.options.opacity_weight, self.options.scale_weight, unit);
         self.finisher.price(&self.options.finish, state.step, &mut state.model);
         let Model { gaussians, nodes, .. } = &mut state.model;
-        if progress < self.options.schedule.density_end {
-            state.pull.add(&gradients.splats, &self.memory.statistics);
-        }
 
         let caution = 0.5f32.powi(state.rollbacks as i32);
         let rates = schedule::attribute_rates(&self.options, progress, unit).scaled(caution);
@@ -369,6 +376,26 @@ impl<'a> Trainer<'a> {
         if let Some(&index) = self.exposures.get(view) {
             let rate = caution * schedule::exposure_rate(&self.options, progress);
             state.exposures.step(index, self.memory.exposure_slopes, rate);
+        }
+    }
+
+    /// Adds to the gradients of the splats in memory those of what motion beside tracks costs, once it does.
+    fn price_residuals(&mut self, progress: f64) {
+        let TrainOptions { residual_weight: weight, schedule, .. } = &self.options;
+        let State { model, groups, step, .. } = &mut self.state;
+        if *weight == 0.0 || progress < schedule.residual_from || model.nodes.is_empty() {
+            return;
+        }
+        if groups.is_empty() || step.is_multiple_of(GROUP_EVERY) {
+            *groups = Groups::of(&model.trajectories(), |index| model.followed[index].is_some());
+        }
+        let Memory { gradients, instant, .. } = &mut self.memory;
+        let moved: Vec<[f32; 3]> = instant.gaussians.iter().map(|g| g.position).collect();
+        let residuals = groups.residuals(model.gaussians.positions(), &moved);
+        let (unit, share) = (self.region.extent.half_side, f64::from(*weight) / moved.len().max(1) as f64);
+        for (index, residual) in residuals {
+            let slope = (share * residual::slope(residual, unit)).as_vec3().to_array();
+            gradients.splats[index].position.iter_mut().zip(slope).for_each(|(sum, v)| *sum += v);
         }
     }
 
@@ -389,6 +416,7 @@ impl<'a> Trainer<'a> {
         let Model { gaussians, followed, .. } = &mut state.model;
         let from = density::control(gaussians, &state.pull, target, options.density, self.region, rng);
         *followed = from.iter().map(|&index| followed[index]).collect();
+        state.groups.select(&from);
         state.pull = ViewGradients::none(gaussians.len());
     }
 
@@ -404,6 +432,7 @@ impl<'a> Trainer<'a> {
         let trial = Trial { views: self.views, reduced, background: self.options.background };
         let most = self.options.stand_still_within * self.region.extent.half_side as f32;
         freeze::freeze_still(&mut self.state.model, most, &trial)?;
+        self.state.groups = Groups::default();
         Ok(())
     }
 
