@@ -390,13 +390,13 @@ impl<'a> Trainer<'a> {
             *groups = Groups::of(&model.trajectories(), |index| model.followed[index].is_some());
         }
         let Memory { gradients, instant, .. } = &mut self.memory;
-        let moved: Vec<[f32; 3]> = instant.gaussians.iter().map(|g| g.position).collect();
-        let residuals = groups.residuals(model.gaussians.positions(), &moved);
-        let (unit, share) = (self.region.extent.half_side, f64::from(*weight) / moved.len().max(1) as f64);
-        for (index, residual) in residuals {
+        let (unit, count) = (self.region.extent.half_side, instant.gaussians.len().max(1));
+        let share = f64::from(*weight) / count as f64;
+        let moved = |index: usize| instant.gaussians[index].position;
+        groups.each_residual(model.gaussians.positions(), moved, |index, residual| {
             let slope = (share * residual::slope(residual, unit)).as_vec3().to_array();
             gradients.splats[index].position.iter_mut().zip(slope).for_each(|(sum, v)| *sum += v);
-        }
+        });
     }
 
     /// Adds and removes Gaussians if it is time.

@@ -54,16 +54,22 @@ impl Groups {
             || self.0.len() == points && self.0.iter().flatten().all(|&group| (group as usize) < GROUPS)
     }
 
-    /// What the affine map of its group, of least squares, leaves of where each point is that moves: `moved`
-    /// less the map of `rest`, scene units, behind the index of the point.
-    pub(crate) fn residuals(&self, rest: &[[f32; 3]], moved: &[[f32; 3]]) -> Vec<(usize, DVec3)> {
-        let vector = |p: &[f32; 3]| DVec3::from_array(p.map(f64::from));
-        let pair = |(index, group): (usize, &Option<u32>)| {
-            group.map(|group| (index, group as usize, vector(&rest[index]), vector(&moved[index])))
+    /// Gives `each` the index of every point that moves and what the affine map of its group, of least
+    /// squares, leaves of where it is: `moved` less the map of `rest`, scene units.
+    pub(crate) fn each_residual(
+        &self,
+        rest: &[[f32; 3]],
+        moved: impl Fn(usize) -> [f32; 3],
+        mut each: impl FnMut(usize, DVec3),
+    ) {
+        let vector = |p: [f32; 3]| DVec3::from_array(p.map(f64::from));
+        let points = || {
+            let of_group = |(index, group): (usize, &Option<u32>)| group.map(|group| (index, group as usize));
+            let at = |(index, group)| (index, group, vector(rest[index]), vector(moved(index)));
+            self.0.iter().enumerate().filter_map(of_group).map(at)
         };
-        let pairs: Vec<(usize, usize, DVec3, DVec3)> = self.0.iter().enumerate().filter_map(pair).collect();
         let mut means = [(DVec3::ZERO, DVec3::ZERO, 0.0f64); GROUPS];
-        for &(_, group, p, x) in &pairs {
+        for (_, group, p, x) in points() {
             let (of_rest, of_moved, count) = &mut means[group];
             *of_rest += p;
             *of_moved += x;
@@ -74,7 +80,7 @@ impl Groups {
             *of_moved /= count.max(1.0);
         }
         let mut moments = [(DMat3::ZERO, DMat3::ZERO); GROUPS];
-        for &(_, group, p, x) in &pairs {
+        for (_, group, p, x) in points() {
             let (p, x) = (p - means[group].0, x - means[group].1);
             moments[group].0 += outer(p, p);
             moments[group].1 += outer(x, p);
@@ -84,10 +90,9 @@ impl Groups {
             let ridge = DMat3::from_diagonal(DVec3::splat(RIDGE * trace / 3.0 + 1e-12));
             (of_both + ridge) * (of_rest + ridge).inverse()
         });
-        let left = |(index, group, p, x): (usize, usize, DVec3, DVec3)| {
-            (index, x - means[group].1 - maps[group] * (p - means[group].0))
-        };
-        pairs.into_iter().map(left).collect()
+        for (index, group, p, x) in points() {
+            each(index, x - means[group].1 - maps[group] * (p - means[group].0));
+        }
     }
 }
 
@@ -96,7 +101,7 @@ fn outer(a: DVec3, b: DVec3) -> DMat3 {
     DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
-/// What a residual costs, in nats, in a scene whose extent is `unit` scene units: `ln(1 + |r|² / step²) / 2`.
+/// What a residual costs, in nats, in a scene whose extent is `unit` scene units.
 #[cfg(test)]
 fn price(residual: DVec3, unit: f64) -> f64 {
     0.5 * (residual.length_squared() / (STEP * unit).powi(2)).ln_1p()
@@ -121,6 +126,12 @@ mod tests {
         Groups::of(&points.iter().map(|&p| [p; _]).collect::<Vec<Trajectory>>(), |index| index != 7)
     }
 
+    fn residuals(groups: &Groups, rest: &[[f32; 3]], moved: &[[f32; 3]]) -> Vec<(usize, DVec3)> {
+        let mut out = Vec::new();
+        groups.each_residual(rest, |index| moved[index], |index, residual| out.push((index, residual)));
+        out
+    }
+
     fn moved(points: &[[f32; 3]], by: impl Fn([f32; 3]) -> [f32; 3]) -> Vec<[f32; 3]> {
         points.iter().map(|&p| by(p)).collect()
     }
@@ -134,10 +145,10 @@ mod tests {
             residuals.iter().map(|(_, r)| r.length()).fold(0.0, f64::max)
         };
         let sheared = moved(&points, |[x, y, z]| [0.3 + x + 0.4 * y, 0.8 * y - 0.2 * z, z - 0.1 * x]);
-        let of_affine = largest(groups.residuals(&points, &sheared));
+        let of_affine = largest(residuals(&groups, &points, &sheared));
         assert!(of_affine < 2e-3, "{of_affine}");
         let bent = moved(&points, |[x, y, z]| [x, y + 0.3 * (20.0 * x).sin(), z]);
-        let of_bent = largest(groups.residuals(&points, &bent));
+        let of_bent = largest(residuals(&groups, &points, &bent));
         assert!(of_bent > 0.1, "{of_bent}");
     }
 
@@ -149,9 +160,9 @@ mod tests {
         let bent = moved(&points, |[x, y, z]| [x * x, y, z]);
         let backwards: Vec<usize> = (0..500).rev().collect();
         let reversed = |values: &[[f32; 3]]| values.iter().rev().copied().collect::<Vec<_>>();
-        let before = groups.residuals(&points, &bent);
+        let before = residuals(&groups, &points, &bent);
         groups.select(&backwards);
-        let after = groups.residuals(&reversed(&points), &reversed(&bent));
+        let after = residuals(&groups, &reversed(&points), &reversed(&bent));
         assert!(before.len() == 499 && after.len() == 499);
         for ((a, before), (b, after)) in before.into_iter().zip(after.into_iter().rev()) {
             assert!(a + b == 499 && before.distance(after) < 1e-9);

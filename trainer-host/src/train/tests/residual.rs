@@ -16,9 +16,13 @@ fn residual(trainer: &Trainer) -> f64 {
     let mut instant = Instant::default();
     let at = |time: f32| {
         model.instant_into(time, &mut instant);
-        let moved: Vec<[f32; 3]> = instant.gaussians.iter().map(|g| g.position).collect();
-        let residuals = groups.residuals(model.gaussians.positions(), &moved);
-        residuals.iter().map(|(_, residual)| residual.length()).sum::<f64>() / residuals.len() as f64
+        let (mut sum, mut count) = (0.0, 0.0f64);
+        let moved = |index: usize| instant.gaussians[index].position;
+        groups.each_residual(model.gaussians.positions(), moved, |_, residual| {
+            sum += residual.length();
+            count += 1.0;
+        });
+        sum / count
     };
     [0.1, 0.3, 0.7, 0.9].map(at).iter().sum::<f64>() / 4.0
 }
