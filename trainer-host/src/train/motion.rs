@@ -8,7 +8,7 @@
 mod basis;
 mod layer;
 mod nodes;
-pub(super) mod residual;
+mod residual;
 mod rigidity;
 mod skinning;
 mod smoothness;
@@ -18,6 +18,7 @@ mod trajectory;
 pub use basis::TemporalBasis;
 pub(super) use layer::{Followed, MovedPoint, NodeGradient};
 pub(super) use nodes::ControlNodes;
+pub(super) use residual::{Neighbourhoods, slope as residual_slope};
 pub(super) use skinning::{Posed, PosedGradient, Rest, Skinned, SkinnedGradient};
 pub(super) use trajectory::{Trajectory, times as trajectory_times};
 

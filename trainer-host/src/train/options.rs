@@ -46,8 +46,9 @@ pub struct TrainOptions {
     pub stand_still_within: f32,
     /// Weight in the loss of how unevenly nodes move over time.
     pub smoothness: f32,
-    /// Weight in the loss of what the motion of a Gaussian costs that its cluster's track does not code: of
-    /// the mean logarithm of its size, from [`Schedule::residual_from`] on.
+    /// Weight in the loss, per nat and Gaussian, of an estimate of what motion costs that clusters' tracks do
+    /// not code, from [`Schedule::residual_from`] on: the mean of `ln(1 + |r|² / s²) / 2`, `r` being what the
+    /// affine motion of its neighbourhood leaves of a Gaussian's and `s` a quantiser step. 0: none.
     pub residual_weight: f32,
     /// Weight of the mean opacity in the loss.
     pub opacity_weight: f32,

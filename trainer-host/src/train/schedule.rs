@@ -135,9 +135,26 @@ pub(super) fn rigidity(options: &TrainOptions, progress: f64) -> f32 {
     options.rigidity * (1.0 - progress).max(options.schedule.rigidity_decay) as f32
 }
 
+/// Weight of what residuals of motion cost.
+pub(super) fn residual_weight(options: &TrainOptions, progress: f64) -> f32 {
+    let from = options.schedule.residual_from;
+    if from < 1.0 && progress >= from { options.residual_weight } else { 0.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn residuals_have_a_price_from_a_share_on_or_never() {
+        let weights = |residual_from: f64| {
+            let schedule = Schedule { residual_from, ..Schedule::default() };
+            let options = TrainOptions { schedule, residual_weight: 0.5, ..TrainOptions::default() };
+            [0.0, 0.29, 0.3, 1.0].map(|progress| residual_weight(&options, progress))
+        };
+        assert_eq!(weights(0.3), [0.0, 0.0, 0.5, 0.5]);
+        assert_eq!(weights(1.0), [0.0; 4]);
+    }
 
     #[test]
     fn motion_becomes_as_fast_as_photographs_tell_of() {

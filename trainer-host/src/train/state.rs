@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     average::Average, density::ViewGradients, exposure::Exposures, finish::Finishing, model::Model,
-    motion::residual::Groups,
+    motion::Neighbourhoods,
 };
 
 /// Rollbacks after which a training gives up.
@@ -37,8 +37,8 @@ pub(super) struct State {
     /// Views drawn, those passed over included.
     pub(super) drawn: u64,
     pub(super) pull: ViewGradients,
-    /// Gaussians that move together, once motion has a price.
-    pub(super) groups: Groups,
+    /// Gaussians that move together, once residuals have a price.
+    pub(super) neighbourhoods: Neighbourhoods,
     pub(super) mean_loss: f64,
     /// Smallest running mean at this size of photographs.
     pub(super) lowest_loss: f64,
@@ -62,7 +62,7 @@ impl State {
             size: 0,
             drawn: 0,
             pull,
-            groups: Groups::default(),
+            neighbourhoods: Neighbourhoods::default(),
             mean_loss: 0.0,
             lowest_loss: f64::INFINITY,
             last_density: 0,
@@ -107,7 +107,7 @@ impl State {
             && self.exposures.is_sound()
             && self.average.as_ref().is_none_or(|average| average.fits(&self.model))
             && self.pull.is_sound(self.model.gaussians())
-            && self.groups.is_sound(self.model.gaussians())
+            && self.neighbourhoods.is_sound(self.model.gaussians())
             && counts.iter().all(|&count| count <= MAX_STEPS)
             && self.finishing.is_sound(self.model.gaussians())
             && self.rollbacks <= MAX_ROLLBACKS

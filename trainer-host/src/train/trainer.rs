@@ -26,10 +26,7 @@ use super::{
     freeze::{self, Trial},
     gaussians::TrainedGaussians,
     model::Model,
-    motion::{
-        ControlNodes, TemporalBasis,
-        residual::{self, Groups},
-    },
+    motion::{ControlNodes, Neighbourhoods, TemporalBasis, residual_slope},
     moving_region::MovingRegion,
     options::{DensityControl, TrainOptions},
     parameter::AdamStep,
@@ -51,8 +48,8 @@ const CHECK_EVERY: u32 = 100;
 const KEEP_EVERY: u32 = 5;
 /// Steps before which what hardly moves may not have learnt to.
 const STAND_STILL_FROM: u32 = 1000;
-/// Steps between two groupings of what moves together.
-const GROUP_EVERY: u32 = 1000;
+/// Steps between two searches for what moves together.
+const NEIGHBOURHOODS_EVERY: u32 = 1000;
 /// One step in this many shows the whole photograph and not only what its outline needs.
 const WHOLE_EVERY: u32 = 8;
 
@@ -271,14 +268,14 @@ impl<'a> Trainer<'a> {
 
     /// Prunes, or begins to round, where the schedule says so.
     fn finish(&mut self, progress: f64) -> Result<(), TrainError> {
-        let State { model, finishing, pull, groups, size, .. } = &mut self.state;
+        let State { model, finishing, pull, neighbourhoods, size, .. } = &mut self.state;
         let size_of = |view| self.pyramid.size(view, *size);
         let differentiator = &mut self.memory.differentiator;
         let options = &self.options;
         let needed = finishing.pruned(options, progress, model, self.views, size_of, differentiator)?;
         if let Some(needed) = needed {
             model.select(&needed);
-            groups.select(&needed);
+            neighbourhoods.select(&needed);
             *pull = ViewGradients::none(needed.len());
         }
         if finishing.rounding_due(&options.finish, progress) {
@@ -379,22 +376,23 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// Adds to the gradients of the splats in memory those of what motion beside tracks costs, once it does.
+    /// Adds to the gradients of the splats in memory those of what their residuals cost, once they do.
     fn price_residuals(&mut self, progress: f64) {
-        let TrainOptions { residual_weight: weight, schedule, .. } = &self.options;
-        let State { model, groups, step, .. } = &mut self.state;
-        if *weight == 0.0 || progress < schedule.residual_from || model.nodes.is_empty() {
+        let weight = f64::from(schedule::residual_weight(&self.options, progress));
+        let State { model, neighbourhoods, step, .. } = &mut self.state;
+        if weight == 0.0 || model.nodes.is_empty() {
             return;
         }
-        if groups.is_empty() || step.is_multiple_of(GROUP_EVERY) {
-            *groups = Groups::of(&model.trajectories(), |index| model.followed[index].is_some());
+        if neighbourhoods.is_empty() || step.is_multiple_of(NEIGHBOURHOODS_EVERY) {
+            let moves = |index: usize| model.followed[index].is_some();
+            *neighbourhoods = Neighbourhoods::of(&model.trajectories(), moves);
         }
         let Memory { gradients, instant, .. } = &mut self.memory;
-        let (unit, count) = (self.region.extent.half_side, instant.gaussians.len().max(1));
-        let share = f64::from(*weight) / count as f64;
+        let unit = self.region.extent.half_side;
+        let share = weight / instant.gaussians.len().max(1) as f64;
         let moved = |index: usize| instant.gaussians[index].position;
-        groups.each_residual(model.gaussians.positions(), moved, |index, residual| {
-            let slope = (share * residual::slope(residual, unit)).as_vec3().to_array();
+        neighbourhoods.each_residual(model.gaussians.positions(), moved, |index, residual| {
+            let slope = (share * residual_slope(residual, unit)).as_vec3().to_array();
             gradients.splats[index].position.iter_mut().zip(slope).for_each(|(sum, v)| *sum += v);
         });
     }
@@ -416,7 +414,7 @@ impl<'a> Trainer<'a> {
         let Model { gaussians, followed, .. } = &mut state.model;
         let from = density::control(gaussians, &state.pull, target, options.density, self.region, rng);
         *followed = from.iter().map(|&index| followed[index]).collect();
-        state.groups.select(&from);
+        state.neighbourhoods.select(&from);
         state.pull = ViewGradients::none(gaussians.len());
     }
 
@@ -432,7 +430,8 @@ impl<'a> Trainer<'a> {
         let trial = Trial { views: self.views, reduced, background: self.options.background };
         let most = self.options.stand_still_within * self.region.extent.half_side as f32;
         freeze::freeze_still(&mut self.state.model, most, &trial)?;
-        self.state.groups = Groups::default();
+        // They hold none that stands still, and are found anew.
+        self.state.neighbourhoods = Neighbourhoods::default();
         Ok(())
     }
 

@@ -3,38 +3,38 @@
 //! A stream moves a cluster by an affine map per frame, its track, which costs few bytes, and codes for each
 //! Gaussian what that leaves (paper, section 3, equation 1), which costs most of the bytes of a moving scene.
 //! Bits of a value rise with the logarithm of its size over its quantiser step, and so does this price. The
-//! encoder chooses its clusters later; until then Gaussians are grouped as it groups them, by where they are
-//! over the clip.
+//! encoder chooses its clusters later; until then neighbourhoods stand for them, which like them are found by
+//! where Gaussians are over the clip.
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::trajectory::{self, Trajectory};
 
-/// Groups of a scene; the encoder makes about as many clusters of a scene of 15,000 Gaussians.
-const GROUPS: usize = 64;
+/// Neighbourhoods of a scene; the encoder makes about as many clusters of a scene of 15,000 Gaussians.
+const MOST: usize = 64;
 /// A quantiser step of what is left, extents: what is smaller costs next to nothing.
 const STEP: f64 = 4e-4;
-/// Share of the mean variance by which a flat or thin group is held to a map that keeps it as it is.
+/// Share of the mean variance by which a flat or thin neighbourhood is held to a map that keeps it as it is.
 const RIDGE: f64 = 1e-3;
 
-/// Which Gaussians move together: the group of each, none of those that stand still.
+/// Which Gaussians move together: the neighbourhood of each, none of those that stand still.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Groups(Vec<Option<u32>>);
+pub(crate) struct Neighbourhoods(Vec<Option<u32>>);
 
-impl Groups {
-    /// Groups of those of the points that move, by their trajectories.
+impl Neighbourhoods {
+    /// Of those of the points that move, by their trajectories.
     pub(crate) fn of(points: &[Trajectory], moves: impl Fn(usize) -> bool) -> Self {
         let moving: Vec<usize> = (0..points.len()).filter(|&index| moves(index)).collect();
         let trajectories: Vec<Trajectory> = moving.iter().map(|&index| points[index]).collect();
-        let chosen = trajectory::farthest(&trajectories, GROUPS);
+        let chosen = trajectory::farthest(&trajectories, MOST);
         let centres: Vec<Trajectory> = chosen.into_iter().map(|index| trajectories[index]).collect();
         let nearest = trajectory::nearest(&trajectories, &centres, 1);
-        let mut groups = vec![None; points.len()];
+        let mut of_points = vec![None; points.len()];
         for (&index, near) in moving.iter().zip(&nearest) {
-            groups[index] = near.first().copied();
+            of_points[index] = near.first().copied();
         }
-        Self(groups)
+        Self(of_points)
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -51,11 +51,11 @@ impl Groups {
     /// Whether what was read from a file can be used for so many points.
     pub(crate) fn is_sound(&self, points: usize) -> bool {
         self.is_empty()
-            || self.0.len() == points && self.0.iter().flatten().all(|&group| (group as usize) < GROUPS)
+            || self.0.len() == points && self.0.iter().flatten().all(|&number| (number as usize) < MOST)
     }
 
-    /// Gives `each` the index of every point that moves and what the affine map of its group, of least
-    /// squares, leaves of where it is: `moved` less the map of `rest`, scene units.
+    /// Gives `each` the index of every point that moves and what the affine map of its neighbourhood, of
+    /// least squares, leaves of where it is: `moved` less the map of `rest`, scene units.
     pub(crate) fn each_residual(
         &self,
         rest: &[[f32; 3]],
@@ -64,13 +64,14 @@ impl Groups {
     ) {
         let vector = |p: [f32; 3]| DVec3::from_array(p.map(f64::from));
         let points = || {
-            let of_group = |(index, group): (usize, &Option<u32>)| group.map(|group| (index, group as usize));
-            let at = |(index, group)| (index, group, vector(rest[index]), vector(moved(index)));
-            self.0.iter().enumerate().filter_map(of_group).map(at)
+            let numbered =
+                |(index, number): (usize, &Option<u32>)| number.map(|number| (index, number as usize));
+            let at = |(index, number)| (index, number, vector(rest[index]), vector(moved(index)));
+            self.0.iter().enumerate().filter_map(numbered).map(at)
         };
-        let mut means = [(DVec3::ZERO, DVec3::ZERO, 0.0f64); GROUPS];
-        for (_, group, p, x) in points() {
-            let (of_rest, of_moved, count) = &mut means[group];
+        let mut means = [(DVec3::ZERO, DVec3::ZERO, 0.0f64); MOST];
+        for (_, number, p, x) in points() {
+            let (of_rest, of_moved, count) = &mut means[number];
             *of_rest += p;
             *of_moved += x;
             *count += 1.0;
@@ -79,19 +80,19 @@ impl Groups {
             *of_rest /= count.max(1.0);
             *of_moved /= count.max(1.0);
         }
-        let mut moments = [(DMat3::ZERO, DMat3::ZERO); GROUPS];
-        for (_, group, p, x) in points() {
-            let (p, x) = (p - means[group].0, x - means[group].1);
-            moments[group].0 += outer(p, p);
-            moments[group].1 += outer(x, p);
+        let mut moments = [(DMat3::ZERO, DMat3::ZERO); MOST];
+        for (_, number, p, x) in points() {
+            let (p, x) = (p - means[number].0, x - means[number].1);
+            moments[number].0 += outer(p, p);
+            moments[number].1 += outer(x, p);
         }
         let maps = moments.map(|(of_rest, of_both)| {
             let trace = of_rest.x_axis.x + of_rest.y_axis.y + of_rest.z_axis.z;
             let ridge = DMat3::from_diagonal(DVec3::splat(RIDGE * trace / 3.0 + 1e-12));
             (of_both + ridge) * (of_rest + ridge).inverse()
         });
-        for (index, group, p, x) in points() {
-            each(index, x - means[group].1 - maps[group] * (p - means[group].0));
+        for (index, number, p, x) in points() {
+            each(index, x - means[number].1 - maps[number] * (p - means[number].0));
         }
     }
 }
@@ -108,7 +109,7 @@ fn price(residual: DVec3, unit: f64) -> f64 {
 }
 
 /// How what a residual costs, `ln(1 + |r|² / step²) / 2`, rises with it, per scene unit, in a scene whose
-/// extent is `unit` scene units. The map of its group counts as given.
+/// extent is `unit` scene units. The map of its neighbourhood counts as given.
 pub(crate) fn slope(residual: DVec3, unit: f64) -> DVec3 {
     residual / ((STEP * unit).powi(2) + residual.length_squared())
 }
@@ -116,19 +117,20 @@ pub(crate) fn slope(residual: DVec3, unit: f64) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::encode::factorise::fit_pose;
 
     fn cloud(count: usize) -> Vec<[f32; 3]> {
         let at = |i: usize, k: f32| ((i as f32 * k).sin() * 43758.547).fract();
         (0..count).map(|i| [at(i, 12.9), at(i, 78.2), at(i, 37.7)]).collect()
     }
 
-    fn grouped(points: &[[f32; 3]]) -> Groups {
-        Groups::of(&points.iter().map(|&p| [p; _]).collect::<Vec<Trajectory>>(), |index| index != 7)
+    fn neighbourhoods(points: &[[f32; 3]]) -> Neighbourhoods {
+        Neighbourhoods::of(&points.iter().map(|&p| [p; _]).collect::<Vec<Trajectory>>(), |index| index != 7)
     }
 
-    fn residuals(groups: &Groups, rest: &[[f32; 3]], moved: &[[f32; 3]]) -> Vec<(usize, DVec3)> {
+    fn residuals(found: &Neighbourhoods, rest: &[[f32; 3]], moved: &[[f32; 3]]) -> Vec<(usize, DVec3)> {
         let mut out = Vec::new();
-        groups.each_residual(rest, |index| moved[index], |index, residual| out.push((index, residual)));
+        found.each_residual(rest, |index| moved[index], |index, residual| out.push((index, residual)));
         out
     }
 
@@ -139,34 +141,63 @@ mod tests {
     #[test]
     fn affine_motion_is_free_and_other_motion_is_not() {
         let points = cloud(4000);
-        let groups = grouped(&points);
+        let found = neighbourhoods(&points);
         let largest = |residuals: Vec<(usize, DVec3)>| {
             assert!(residuals.len() == 3999 && residuals.iter().all(|(index, _)| *index != 7));
             residuals.iter().map(|(_, r)| r.length()).fold(0.0, f64::max)
         };
         let sheared = moved(&points, |[x, y, z]| [0.3 + x + 0.4 * y, 0.8 * y - 0.2 * z, z - 0.1 * x]);
-        let of_affine = largest(residuals(&groups, &points, &sheared));
+        let of_affine = largest(residuals(&found, &points, &sheared));
         assert!(of_affine < 2e-3, "{of_affine}");
         let bent = moved(&points, |[x, y, z]| [x, y + 0.3 * (20.0 * x).sin(), z]);
-        let of_bent = largest(residuals(&groups, &points, &bent));
+        let of_bent = largest(residuals(&found, &points, &bent));
         assert!(of_bent > 0.1, "{of_bent}");
     }
 
     #[test]
-    fn a_group_stays_that_of_its_point() {
+    fn a_neighbourhood_stays_that_of_its_point() {
         let points = cloud(500);
-        let mut groups = grouped(&points);
-        assert!(groups.is_sound(500) && !groups.is_sound(499));
+        let mut found = neighbourhoods(&points);
+        assert!(found.is_sound(500) && !found.is_sound(499));
         let bent = moved(&points, |[x, y, z]| [x * x, y, z]);
         let backwards: Vec<usize> = (0..500).rev().collect();
         let reversed = |values: &[[f32; 3]]| values.iter().rev().copied().collect::<Vec<_>>();
-        let before = residuals(&groups, &points, &bent);
-        groups.select(&backwards);
-        let after = residuals(&groups, &reversed(&points), &reversed(&bent));
+        let before = residuals(&found, &points, &bent);
+        found.select(&backwards);
+        let after = residuals(&found, &reversed(&points), &reversed(&bent));
         assert!(before.len() == 499 && after.len() == 499);
         for ((a, before), (b, after)) in before.into_iter().zip(after.into_iter().rev()) {
             assert!(a + b == 499 && before.distance(after) < 1e-9);
         }
+    }
+
+    /// The encoder's own fit of an affine pose, of one neighbourhood after another.
+    #[test]
+    fn residuals_are_those_of_the_encoders_fit() {
+        let points = cloud(900);
+        let found = neighbourhoods(&points);
+        let bent = moved(&points, |[x, y, z]| [x + 0.2 * y * z, y + 0.3 * (20.0 * x).sin(), z]);
+        let mut slow = vec![DVec3::NAN; points.len()];
+        for number in 0..MOST as u32 {
+            let members: Vec<usize> = (0..900).filter(|&index| found.0[index] == Some(number)).collect();
+            let of = |places: &[[f32; 3]]| -> Vec<[f64; 3]> {
+                members.iter().map(|&index| places[index].map(f64::from)).collect()
+            };
+            let (from, to) = (of(&points), of(&bent));
+            let pose = fit_pose(&from, &to, [0.0; 3], [1.0, 0.0, 0.0, 0.0]);
+            for ((&index, p), x) in members.iter().zip(from).zip(to) {
+                let placed: [f64; 3] = (pose.translation + pose.linear * nalgebra::Vector3::from(p)).into();
+                slow[index] = DVec3::from_array(x) - DVec3::from_array(placed);
+            }
+        }
+        let furthest = |residuals: &[(usize, DVec3)]| {
+            residuals.iter().map(|(index, residual)| residual.distance(slow[*index])).fold(0.0, f64::max)
+        };
+        let residuals = residuals(&found, &points, &bent);
+        assert!(residuals.len() == 899 && furthest(&residuals) < 1e-12, "{}", furthest(&residuals));
+        // Of other neighbourhoods they are others.
+        let mixed = Neighbourhoods((0..900).map(|index| Some(index % 64)).collect());
+        assert!(furthest(&super::tests::residuals(&mixed, &points, &bent)[1..7]) > 1e-3);
     }
 
     #[test]

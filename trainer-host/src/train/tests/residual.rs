@@ -12,13 +12,13 @@ fn priced(weight: f32) -> TrainOptions {
 /// units.
 fn residual(trainer: &Trainer) -> f64 {
     let model = trainer.model();
-    let groups = motion::residual::Groups::of(&model.trajectories(), |_| true);
+    let neighbourhoods = motion::Neighbourhoods::of(&model.trajectories(), |_| true);
     let mut instant = Instant::default();
     let at = |time: f32| {
         model.instant_into(time, &mut instant);
         let (mut sum, mut count) = (0.0, 0.0f64);
         let moved = |index: usize| instant.gaussians[index].position;
-        groups.each_residual(model.gaussians.positions(), moved, |_, residual| {
+        neighbourhoods.each_residual(model.gaussians.positions(), moved, |_, residual| {
             sum += residual.length();
             count += 1.0;
         });
@@ -30,8 +30,10 @@ fn residual(trainer: &Trainer) -> f64 {
 #[test]
 fn what_has_a_price_becomes_less() {
     let dataset = dataset(synth::SynthKind::Figure, 6, 6);
-    let [plain, same, dear] = [0.0, 0.0, 0.003].map(|weight| trained(&dataset, &priced(weight), 400));
-    assert_eq!(plain.model(), same.model());
+    let [plain, dear] = [0.0, 0.003].map(|weight| trained(&dataset, &priced(weight), 400));
+    let schedule = Schedule { residual_from: 1.0, ..Schedule::default() };
+    let never = trained(&dataset, &TrainOptions { schedule, ..priced(0.003) }, 400);
+    assert_eq!(plain.model(), never.model());
     let (before, after) = (residual(&plain), residual(&dear));
     assert!(after < 0.8 * before, "{after} {before}");
 }
@@ -41,7 +43,7 @@ fn a_priced_training_goes_on_bit_for_bit() {
     const ALL: u32 = 260;
     let dataset = dataset(synth::SynthKind::Balls, 3, 6);
     let whole = trained(&dataset, &priced(0.003), ALL);
-    // Between two controls of density, and after the first pruning, of which groups know.
+    // Between two controls of density, and after the first pruning, of which neighbourhoods know.
     for half in [120u32, 175] {
         let mut first = Trainer::new(&dataset, &priced(0.003)).unwrap();
         (0..half).for_each(|step| drop(first.step(f64::from(step) / f64::from(ALL)).unwrap()));
