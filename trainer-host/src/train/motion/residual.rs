@@ -196,8 +196,8 @@ mod tests {
         let residuals = residuals(&found, &points, &bent);
         assert!(residuals.len() == 899 && furthest(&residuals) < 1e-12, "{}", furthest(&residuals));
         // Of other neighbourhoods they are others.
-        let mixed = Neighbourhoods((0..900).map(|index| Some(index % 64)).collect());
-        assert!(furthest(&super::tests::residuals(&mixed, &points, &bent)[1..7]) > 1e-3);
+        let scattered = Neighbourhoods((0..900).map(|index| Some(index % 64)).collect());
+        assert!(furthest(&super::tests::residuals(&scattered, &points, &bent)[1..7]) > 1e-3);
     }
 
     #[test]
