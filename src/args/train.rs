@@ -49,8 +49,8 @@ pub struct Train {
     /// Go on from the checkpoint in --out, bit for bit; options of the training are those it was made with,
     /// and others are refused. --delivery, which goes on from delivery.dgst, and options of the encoder and
     /// of a scene's renders (--cameras, --side) are typed as before; where the encoder has others, scene.dgs
-    /// is written with them, and a note names them. A training that is complete can be
-    /// fine-tuned: `dgs train DATASET -o DIR --resume --delivery mixed`.
+    /// is written with them, and a note names them; those that the training has rounded its values by stay.
+    /// A training that is complete can be fine-tuned: `dgs train DATASET -o DIR --resume --delivery mixed`.
     #[arg(long)]
     pub resume: bool,
     /// Replace the training in --out, and files called as those that it writes: they are removed.

@@ -135,7 +135,9 @@ fn train(
         return delivery::run(args, &folder, scene, dataset, (options, backend), &stop, quiet);
     }
     let encoder = EncoderOptions::of(args, trained_for);
-    let changes = encoder.taken_up(&folder.encoder, args.resume)?;
+    let rounded = |at: &Checkpoint| at.progress() >= at.options().finish.round_from;
+    let has_rounded = resumed.as_ref().is_some_and(rounded) && !encoding::steps_are_typed(args);
+    let changes = encoder.taken_up(&folder.encoder, args.resume, has_rounded)?;
     let with = (delivery.map(|options| (options, backend)), &encoder, network.as_ref());
     let plan = match scene {
         Some(scene) => Plan::of(args, &folder, scene, dataset, &stop, quiet)?,

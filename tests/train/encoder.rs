@@ -58,6 +58,11 @@ fn other_options_of_the_encoder_are_said_where_a_training_goes_on() {
     assert!(stream() != first);
     // From now on these are what it had.
     assert!(!heard(&["-o", "out", "--resume", "--packet-bytes", "400"]).contains(note));
+    // What it has rounded by stays, and is not said to change.
+    let second = stream();
+    let kept = heard(&["-o", "out", "--resume", "--packet-bytes", "400", "--cluster-size", "64"]);
+    assert!(kept.contains("--cluster-size 64 (before: 512) changes nothing"), "{kept}");
+    assert!(!kept.contains(note) && stream() == second, "{kept}");
     // A training of before the file was written says as much as it can.
     fs::remove_file(at.join("out/encoder.json")).unwrap();
     let unknown = heard(&["-o", "out", "--resume"]);

@@ -9,6 +9,8 @@ use serde::{Deserialize, Serialize};
 use super::{encoding::steps_are_typed, folder::Folder};
 use crate::{args::train::Train, files};
 
+/// Options by which a training chooses when it rounds its values; afterwards it keeps to what it chose.
+const ROUNDED_BY: [&str; 4] = ["--pictures", "--search", "--cluster-size", "--block-len"];
 /// What stands for an option that was not typed.
 const NONE: &str = "none";
 
@@ -57,22 +59,33 @@ impl EncoderOptions {
     }
 
     /// Takes them up in a training: writes them to the file at `path` where it begins, and says where it goes
-    /// on how they differ from those of that file.
+    /// on how they differ from those of that file. One that `has_rounded` keeps to what it rounded by.
     ///
     /// # Errors
     /// As [`EncoderOptions::read`] and [`EncoderOptions::write`].
-    pub(super) fn taken_up(&self, path: &Path, resumes: bool) -> Result<Option<String>> {
+    pub(super) fn taken_up(&self, path: &Path, resumes: bool, has_rounded: bool) -> Result<Vec<String>> {
         if !resumes {
-            return self.write(path).map(|()| None);
+            return self.write(path).map(|()| Vec::new());
         }
         let changes = Self::read(path)?.map(|before| self.changes(&before)).unwrap_or_default();
-        Ok((!changes.is_empty()).then(|| {
-            format!(
+        let stays = |change: &String| has_rounded && ROUNDED_BY.iter().any(|name| change.starts_with(name));
+        let (stay, apply): (Vec<String>, Vec<String>) = changes.into_iter().partition(stays);
+        let mut notes = Vec::new();
+        if !apply.is_empty() {
+            notes.push(format!(
                 "--resume: options of the encoder are not those that the training had: {}; scene.dgs is \
                  written with these",
-                changes.join(", ")
-            )
-        }))
+                apply.join(", ")
+            ));
+        }
+        if !stay.is_empty() {
+            notes.push(format!(
+                "--resume: the training has rounded its values by options of the encoder that it had, and \
+                 scene.dgs keeps to those: {} changes nothing; `dgs encode` of the checkpoint takes others",
+                stay.join(", ")
+            ));
+        }
+        Ok(notes)
     }
 
     /// A note where a training goes on, nothing says what it was encoded with, and `stream` replaces another.
