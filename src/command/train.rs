@@ -7,6 +7,7 @@ mod epochs;
 mod figures;
 mod finishing;
 mod folder;
+mod input;
 mod interruption;
 mod log;
 mod page;
@@ -14,19 +15,10 @@ mod trained;
 mod training;
 mod utility;
 
-use std::path::Path;
-
 use anyhow::{Context, Result, bail};
 use render_host::{Backend, metric::Lpips};
 use serde_json::json;
-use trainer_host::{
-    Scene,
-    train::{
-        self, Checkpoint, Dataset, DynamicScene, Test, Trimmed, Views,
-        dataset::{self, rendered},
-        delivery::DeliveryOptions,
-    },
-};
+use trainer_host::train::{self, Checkpoint, Dataset, DynamicScene, Test, Views, delivery::DeliveryOptions};
 
 use self::{
     encoder_options::EncoderOptions,
@@ -35,6 +27,7 @@ use self::{
     figures::{Figure, decoded, lpips},
     finishing::Finished,
     folder::Folder,
+    input::Input,
     interruption::Interruption,
     log::Log,
     page::{Ended, Page},
@@ -45,7 +38,7 @@ use crate::{
     args::train::Train,
     figures::Machine,
     files,
-    output::{self, VerbOutput},
+    output::VerbOutput,
     pipeline::{self, Quiet},
     progress::Progress,
 };
@@ -57,21 +50,8 @@ const ENCODED: &str = "checkpoint and stream are whole; the report is not there"
 const STOPPED: &str =
     "interrupted: the checkpoint is whole; its stream and report follow, or not if interrupted again";
 
-/// Share of a clip before the first photograph, or after the last, of which nothing is said.
-const UNSEEN: f32 = 0.05;
 /// Shortest side of pictures that are still worth a figure, pixels.
 const MIN_SIDE: u32 = 32;
-
-/// What a training learns from.
-struct Input {
-    /// Where it was a scene.
-    scene: Option<Scene>,
-    dataset: Dataset,
-    /// Whether only a part of the file was read.
-    damaged: bool,
-    /// What a person should know.
-    notes: Vec<String>,
-}
 
 /// Runs the verb.
 pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
@@ -82,7 +62,7 @@ pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     let max_side = resumed.as_ref().map_or(typed.max_side, |checkpoint| checkpoint.options().max_side);
     let backend = Backend::open(args.device.into()).context("--device")?;
     let loading = Progress::new("read the dataset", quiet.0);
-    let input = load(args, max_side)?;
+    let input = Input::load(args, max_side)?;
     drop(loading);
     let mut output = train(args, &input, resumed, delivery.as_ref(), &backend, quiet)?;
     if let Some(bytes) = Machine::peak_memory_bytes("self") {
@@ -149,6 +129,7 @@ fn train(
             return Ok(left(args, plan));
         };
         files::write(&folder.log, log.csv().as_bytes())?;
+        log.notes.extend_from_slice(&input.notes);
         log.notes.extend(changes);
         let with = (None, with.1, with.2);
         let mut output = finish(args, &folder, dataset, (&trained, &log, ended), with, &stop, quiet)?;
@@ -181,82 +162,6 @@ fn left(args: &Train, plan: &Plan) -> VerbOutput {
     let text = format!("{}: interrupted: --resume goes on\n{}", args.input, plan.text());
     let json = json!({ "input": args.input, "interrupted": true, "epochs": plan.parts });
     VerbOutput { text, json, damaged: true, ..VerbOutput::default() }
-}
-
-/// The dataset that was named; if it was a scene, with the scene.
-fn load(args: &Train, max_side: u32) -> Result<Input> {
-    let path = Path::new(&args.input);
-    let mut unknown = None;
-    if path.is_dir() && !args.input.starts_with("synth:") {
-        match dataset::read_reduced(path, max_side) {
-            Err(error @ dataset::DatasetError::Unknown { .. }) => unknown = Some(error),
-            found => return Ok(photographs(args, found?)),
-        }
-    }
-    let loaded = match (pipeline::import(&args.input, &args.scene), unknown) {
-        (Err(error), Some(unknown)) => bail!("{unknown}; nor is it a scene: {error:#}"),
-        (loaded, _) => loaded?,
-    };
-    if let Some(damage) = &loaded.damage {
-        output::print_status(&format!("warning: {damage}"));
-    }
-    let options = rendered::RenderedOptions {
-        cameras: args.cameras,
-        side: args.side,
-        ..rendered::RenderedOptions::default()
-    };
-    let dataset = rendered::rendered(&loaded.scene, &loaded.name, &options)?;
-    Ok(Input { scene: Some(loaded.scene), dataset, damaged: loaded.damage.is_some(), notes: Vec::new() })
-}
-
-/// Photographs as they are trained on.
-fn photographs(args: &Train, (mut dataset, trimmed): (Dataset, Option<Trimmed>)) -> Input {
-    let mut notes = Vec::new();
-    dataset.up = args.scene.up.map_or(dataset.up, Into::into);
-    let applies = ["--fps", "--seed"];
-    let usual = rendered::RenderedOptions::default();
-    let of_renders = [("--cameras", args.cameras != usual.cameras), ("--side", args.side != usual.side)];
-    let of_renders = of_renders.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name);
-    let of_scenes = args.scene.scene_only().into_iter().filter(|name| !applies.contains(name));
-    let unused: Vec<&str> = of_scenes.chain(of_renders).collect();
-    if !unused.is_empty() {
-        notes.push(format!(
-            "{}: are photographs; not used, being for scenes: {}",
-            args.input,
-            unused.join(", ")
-        ));
-    }
-    if dataset.test.is_empty() {
-        notes.push(format!(
-            "{}: no photographs are for testing; figures are of those that are trained on",
-            args.input
-        ));
-    }
-    notes.extend(beyond_the_photographs(args, &dataset));
-    notes.extend(trimmed.map(|trimmed| {
-        let ((width, height), (to_width, to_height)) = (trimmed.before, trimmed.after);
-        format!(
-            "{} photographs of {width} x {height} pixels are cut to {to_width} x {to_height}, which can be \
-             halved{}",
-            trimmed.photographs,
-            if trimmed.other_sizes > 0 { ", and those of other sizes likewise" } else { "" }
-        )
-    }));
-    Input { scene: None, dataset, damaged: false, notes }
-}
-
-/// That part of the clip is of times that no photograph shows.
-fn beyond_the_photographs(args: &Train, dataset: &Dataset) -> Option<String> {
-    let times = dataset.train.photographs().iter().map(|view| view.time);
-    let (first, last) = times.fold((1.0f32, 0.0f32), |(first, last), t| (first.min(t), last.max(t)));
-    let is_seen = first <= UNSEEN && last >= 1.0 - UNSEEN;
-    (dataset.frames > 1 && !is_seen).then(|| {
-        format!(
-            "{}: photographs are of times {first} to {last}; the clip is of 0 to 1, and what it shows \
-             besides is guessed",
-            args.input
-        )
-    })
 }
 
 /// Encodes the scene, measures it, and writes the pages.

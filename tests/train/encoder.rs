@@ -60,9 +60,9 @@ fn other_options_of_the_encoder_are_said_where_a_training_goes_on() {
     assert!(!heard(&["-o", "out", "--resume", "--packet-bytes", "400"]).contains(note));
     // What it has rounded by stays, and is not said to change.
     let second = stream();
-    let kept = heard(&["-o", "out", "--resume", "--packet-bytes", "400", "--cluster-size", "64"]);
-    assert!(kept.contains("--cluster-size 64 (before: 512) changes nothing"), "{kept}");
-    assert!(!kept.contains(note) && stream() == second, "{kept}");
+    let same = heard(&["-o", "out", "--resume", "--packet-bytes", "400", "--cluster-size", "64"]);
+    assert!(same.contains("--cluster-size 64 (before: 512) changes nothing"), "{same}");
+    assert!(!same.contains(note) && stream() == second, "{same}");
     // A training of before the file was written says as much as it can.
     fs::remove_file(at.join("out/encoder.json")).unwrap();
     let unknown = heard(&["-o", "out", "--resume"]);

@@ -296,7 +296,7 @@ pub struct OptionsError {
     /// Its value.
     pub found: String,
     /// What is allowed.
-    pub allowed: &'static str,
+    pub allowed: String,
 }
 
 impl TrainOptions {
@@ -305,13 +305,14 @@ impl TrainOptions {
     /// # Errors
     /// The first that is out of range.
     pub fn validate(&self) -> Result<(), OptionsError> {
-        let whole = |field, found: usize, low: usize, high: usize, allowed| {
+        let refuse = |field, found, allowed| Err(OptionsError { field, found, allowed });
+        let whole = |field, found: usize, low: usize, high: usize, allowed: &'static str| {
             let fits = (low..=high).contains(&found);
-            if fits { Ok(()) } else { Err(OptionsError { field, found: found.to_string(), allowed }) }
+            if fits { Ok(()) } else { refuse(field, found.to_string(), allowed.to_owned()) }
         };
-        let real = |field, found: f32, high: f32, allowed| {
+        let real = |field, found: f32, high: f32, allowed: &'static str| {
             let fits = (0.0..=high).contains(&found);
-            if fits { Ok(()) } else { Err(OptionsError { field, found: found.to_string(), allowed }) }
+            if fits { Ok(()) } else { refuse(field, found.to_string(), allowed.to_owned()) }
         };
         whole("initial_gaussians", self.initial_gaussians, 1, 5_000_000, "1 to 5000000")?;
         whole("max_gaussians", self.max_gaussians, 1, 5_000_000, "1 to 5000000")?;
@@ -392,12 +393,10 @@ impl TrainOptions {
         real("schedule.harmonics_every", harmonics_every as f32, 0.25, "0 to 0.25")?;
         self.finish.validate(real)?;
         // What the encoder chooses when rounding begins holds to the end, and says which bands are sent.
-        if harmonics_every * f64::from(self.sh_degree) > self.finish.round_from {
-            return Err(OptionsError {
-                field: "schedule.harmonics_every",
-                found: harmonics_every.to_string(),
-                allowed: "at most finish.round_from / sh_degree",
-            });
+        let latest = self.finish.round_from / f64::from(self.sh_degree.max(1));
+        if self.sh_degree > 0 && harmonics_every > latest {
+            let allowed = format!("0 to {latest:.4} (finish.round_from / sh_degree)");
+            return refuse("schedule.harmonics_every", harmonics_every.to_string(), allowed);
         }
         Ok(())
     }

@@ -129,8 +129,8 @@ mod tests {
     use super::*;
 
     fn result(rank: usize, seed: u64, p10_db: f64) -> RankResult {
-        let (clean_db, worst_tenth_db) = (p10_db + 5.0, p10_db - 1.0);
-        RankResult { rank, seed, clean_db, p10_db, worst_tenth_db, wire_bytes: 1000 + 100 * rank as u64 }
+        let (clean_db, worst_tenth_db, wire_bytes) = (p10_db + 5.0, p10_db - 1.0, 1000 + 100 * rank as u64);
+        RankResult { rank, seed, clean_db, p10_db, worst_tenth_db, wire_bytes, device: "cpu".to_owned() }
     }
 
     #[test]

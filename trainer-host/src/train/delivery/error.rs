@@ -90,9 +90,9 @@ pub enum DeliveryError {
     /// Pictures that cannot be compared.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// Gradients that cannot be computed, or a graphics device that draws no state.
+    /// Pictures or gradients of a state that a device, the processor or another, cannot make.
     #[error(transparent)]
-    Device(#[from] BackendError),
+    Drawing(#[from] BackendError),
     /// Worlds that cannot be rendered together.
     #[error(transparent)]
     Worlds(#[from] render_host::counterfactual::CounterfactualError),

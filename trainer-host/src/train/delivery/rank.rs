@@ -33,6 +33,8 @@ pub struct RankResult {
     pub worst_tenth_db: f64,
     /// Bytes of packets and manifest.
     pub wire_bytes: u64,
+    /// What rendered and differentiated the training.
+    pub device: String,
 }
 
 /// The rank that the rule takes, and why.
@@ -85,6 +87,7 @@ pub fn measure_rank(
         p10_db: found.p10_db(),
         worst_tenth_db: found.worst_tenth_db(),
         wire_bytes: found.wire_bytes,
+        device: backend.name(),
     }))
 }
 
@@ -119,7 +122,8 @@ mod tests {
     use super::*;
 
     fn result(rank: usize, seed: u64, p10_db: f64, wire_bytes: u64) -> RankResult {
-        RankResult { rank, seed, clean_db: 30.0, p10_db, worst_tenth_db: p10_db - 1.0, wire_bytes }
+        let (clean_db, worst_tenth_db, device) = (30.0, p10_db - 1.0, "cpu".to_owned());
+        RankResult { rank, seed, clean_db, p10_db, worst_tenth_db, wire_bytes, device }
     }
 
     #[test]

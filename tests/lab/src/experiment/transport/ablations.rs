@@ -223,4 +223,35 @@ mod tests {
             assert!(found.len() == 1 && (found[0] - wanted).abs() < 1e-9, "{name}: {found:?}");
         }
     }
+
+    /// Names of the switches of the default scheduler. A field that is added to it does not compile here
+    /// until it is named, as a switch or as what is set otherwise.
+    macro_rules! switches {
+        ($($switch:ident)*; but $($setting:ident)*) => {{
+            let full = DeadlineUtilityConfig::default();
+            let DeadlineUtilityConfig { $($switch: _,)* $($setting: _,)* } = full;
+            [$(stringify!($switch)),*]
+        }};
+    }
+
+    #[test]
+    fn every_switch_of_the_default_scheduler_has_a_row() {
+        let (graph, _) = narrow();
+        let mut rows: Vec<String> =
+            super::super::optimum::schedulers().into_iter().map(|row| row.0).collect();
+        let of_streams = variants(&graph, graph.clone()).unwrap();
+        rows.extend(of_streams.iter().map(|variant| variant.name.to_owned()));
+        let switches = switches! {
+            max_queue_delay short_queue empty_path skip_late lost_compete loss_repaired survival rest_only
+            headers frame_share credit arrival_from_queue base_weight delay_weight error_growth opening
+            parity_competes least_saved parity_bursts refresh_after_loss;
+            but viewport refresh refresh_after_move
+        };
+        for switch in switches {
+            // Without it the sender fills a queue as others do.
+            let name = if switch == "max_queue_delay" { "own_queue" } else { switch };
+            assert!(rows.contains(&format!("without_{name}")), "{switch}: {rows:?}");
+        }
+        assert!(!rows.contains(&"without_viewport".to_owned()), "or this says nothing");
+    }
 }

@@ -107,7 +107,7 @@ pub(super) fn protocol(setup: &Setup) -> String {
 pub(super) const ARRIVED_PART: u32 = 3;
 
 /// Schedulers by name: the five, and the default without one of its parts.
-fn schedulers() -> Vec<(String, Option<PolicyKind>, DeadlineUtilityConfig)> {
+pub(super) fn schedulers() -> Vec<(String, Option<PolicyKind>, DeadlineUtilityConfig)> {
     let full = DeadlineUtilityConfig::default();
     let mut all: Vec<_> =
         PolicyKind::ALL.into_iter().map(|kind| (kind.name().to_owned(), Some(kind), full)).collect();
