@@ -153,7 +153,7 @@ impl Shown {
     }
 
     /// Waits until the title of `window` begins with `start`: titles follow pictures, up to four a second.
-    fn is_titled(&self, window: &str, start: &str) {
+    fn wait_for_title(&self, window: &str, start: &str) {
         let end = Instant::now() + PATIENCE;
         loop {
             let title = self.display.act(&["getwindowname", window]);
@@ -202,7 +202,7 @@ fn a_window_shows_what_the_renderer_draws_and_obeys() {
     shown.display.act(&["mousedown", "1", "mousemove", "130", "90", "mouseup", "1"]);
     shown.session.orbit_mut().turn(30.0, 10.0, 192.0);
     shown.settle("a drag");
-    shown.is_titled(&window, "a · 0.02 of 1.00 s · level 0.0 of 3");
+    shown.wait_for_title(&window, "a · 0.02 of 1.00 s · level 0.0 of 3");
     shown.display.act(&["windowsize", &window, "320", "240"]);
     shown.size = [320, 240];
     shown.settle("another size");

@@ -22,7 +22,7 @@ use trainer_host::train::{self, Checkpoint, Dataset, DynamicScene, Test, Views, 
 
 use self::{
     encoder_options::EncoderOptions,
-    encoding::{Written, check_size, within_loss},
+    encoding::{Written, check_size, steps_are_typed, within_loss},
     epochs::Plan,
     figures::{Figure, decoded, lpips},
     finishing::Finished,
@@ -114,10 +114,9 @@ fn train(
     if let (Some(scene), Some(options)) = (scene, delivery) {
         return delivery::run(args, &folder, scene, dataset, (options, backend), &stop, quiet);
     }
+    let has_rounded = resumed.as_ref().is_some_and(Checkpoint::has_rounded) && !steps_are_typed(args);
     let encoder = EncoderOptions::of(args, trained_for);
-    let rounded = |at: &Checkpoint| at.progress() >= at.options().finish.round_from;
-    let has_rounded = resumed.as_ref().is_some_and(rounded) && !encoding::steps_are_typed(args);
-    let changes = encoder.taken_up(&folder.encoder, args.resume, has_rounded)?;
+    let (encoder, changes) = encoder.taken_up(&folder.encoder, args.resume, has_rounded)?;
     let with = (delivery.map(|options| (options, backend)), &encoder, network.as_ref());
     let plan = match scene {
         Some(scene) => Plan::of(args, &folder, scene, dataset, &stop, quiet)?,

@@ -63,6 +63,8 @@ fn other_options_of_the_encoder_are_said_where_a_training_goes_on() {
     let same = heard(&["-o", "out", "--resume", "--packet-bytes", "400", "--cluster-size", "64"]);
     assert!(same.contains("--cluster-size 64 (before: 512) changes nothing"), "{same}");
     assert!(!same.contains(note) && stream() == second, "{same}");
+    let again = heard(&["-o", "out", "--resume", "--packet-bytes", "400"]);
+    assert!(!again.contains("--cluster-size"), "{again}");
     // A training of before the file was written says as much as it can.
     fs::remove_file(at.join("out/encoder.json")).unwrap();
     let unknown = heard(&["-o", "out", "--resume"]);

@@ -59,17 +59,24 @@ impl EncoderOptions {
     }
 
     /// Takes them up in a training: writes them to the file at `path` where it begins, and says where it goes
-    /// on how they differ from those of that file. One that `has_rounded` keeps to what it rounded by.
+    /// on how they differ from those of that file. One that `has_rounded` keeps to what it rounded by; what
+    /// comes back are the options that apply.
     ///
     /// # Errors
     /// As [`EncoderOptions::read`] and [`EncoderOptions::write`].
-    pub(super) fn taken_up(&self, path: &Path, resumes: bool, has_rounded: bool) -> Result<Vec<String>> {
+    pub(super) fn taken_up(
+        mut self,
+        path: &Path,
+        resumes: bool,
+        has_rounded: bool,
+    ) -> Result<(Self, Vec<String>)> {
         if !resumes {
-            return self.write(path).map(|()| Vec::new());
+            self.write(path)?;
+            return Ok((self, Vec::new()));
         }
-        let changes = Self::read(path)?.map(|before| self.changes(&before)).unwrap_or_default();
+        let Some(before) = Self::read(path)? else { return Ok((self, Vec::new())) };
         let stays = |change: &String| has_rounded && ROUNDED_BY.iter().any(|name| change.starts_with(name));
-        let (stay, apply): (Vec<String>, Vec<String>) = changes.into_iter().partition(stays);
+        let (stay, apply): (Vec<String>, Vec<String>) = self.changes(&before).into_iter().partition(stays);
         let mut notes = Vec::new();
         if !apply.is_empty() {
             notes.push(format!(
@@ -84,8 +91,9 @@ impl EncoderOptions {
                  scene.dgs keeps to those: {} changes nothing; `dgs encode` of the checkpoint takes others",
                 stay.join(", ")
             ));
+            self.0.extend(before.0.into_iter().filter(|(name, _)| ROUNDED_BY.contains(&name.as_str())));
         }
-        Ok(notes)
+        Ok((self, notes))
     }
 
     /// A note where a training goes on, nothing says what it was encoded with, and `stream` replaces another.

@@ -89,7 +89,17 @@ pub(super) fn check_size(args: &Train, trained_for: u64, (frames, rate): (usize,
 
 /// Bytes on the wire of the least that a training can lead to: one Gaussian that stands still.
 fn least_bytes(args: &Train, frames: usize, frames_per_second: f64) -> Result<u64> {
-    let attributes = Attributes {
+    let scene = Scene::new(vec![Epoch::new(frames, one_gaussian())?], frames_per_second)?;
+    let options = pipeline::encode_options(&args.codec, Protection::NONE);
+    let quality = QuantiserSteps::default().scaled(encode::COARSENESS.1);
+    let options = EncodeOptions { quality, target: None, pictures: 0, search: 0, ..options };
+    let encoded = encode::encode(&scene, &options, &encode::no_progress).context("cannot encode")?;
+    Ok(encoded.stream.wire_bytes() as u64)
+}
+
+/// One Gaussian that stands still.
+pub(super) fn one_gaussian() -> Attributes {
+    Attributes {
         positions: Track::Constant(vec![[0.0; 3]]),
         rotations: Track::Constant(vec![[1.0, 0.0, 0.0, 0.0]]),
         log_scales: Track::Constant(vec![[0.0; 3]]),
@@ -97,13 +107,7 @@ fn least_bytes(args: &Train, frames: usize, frames_per_second: f64) -> Result<u6
         sh0: Track::Constant(vec![[0.0; 3]]),
         sh_rest: Vec::new(),
         sh_degree: ShDegree::ZERO,
-    };
-    let scene = Scene::new(vec![Epoch::new(frames, attributes)?], frames_per_second)?;
-    let options = pipeline::encode_options(&args.codec, Protection::NONE);
-    let quality = QuantiserSteps::default().scaled(encode::COARSENESS.1);
-    let options = EncodeOptions { quality, target: None, pictures: 0, search: 0, ..options };
-    let encoded = encode::encode(&scene, &options, &encode::no_progress).context("cannot encode")?;
-    Ok(encoded.stream.wire_bytes() as u64)
+    }
 }
 
 /// Whether `args` say how fine steps are, so that a training must not choose them.

@@ -125,23 +125,16 @@ fn beyond_the_photographs(args: &Train, dataset: &Dataset) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use codec_core::ShDegree;
-    use trainer_host::scene::{Attributes, Epoch, Track};
+    use trainer_host::scene::{Attributes, Epoch};
 
-    use super::*;
+    use super::{super::encoding::one_gaussian, *};
 
     /// A Gaussian in one frame each, of these degrees.
     fn frames(degrees: &[u8]) -> Scene {
         let epoch = |&degree: &u8| {
             let sh_degree = ShDegree::new(degree).unwrap();
-            let attributes = Attributes {
-                positions: Track::Constant(vec![[0.0; 3]]),
-                rotations: Track::Constant(vec![[1.0, 0.0, 0.0, 0.0]]),
-                log_scales: Track::Constant(vec![[0.0; 3]]),
-                opacity_logits: Track::Constant(vec![0.0]),
-                sh0: Track::Constant(vec![[0.0; 3]]),
-                sh_rest: vec![0.0; sh_degree.rest_len()],
-                sh_degree,
-            };
+            let sh_rest = vec![0.0; sh_degree.rest_len()];
+            let attributes = Attributes { sh_degree, sh_rest, ..one_gaussian() };
             Epoch::new(1, attributes).unwrap()
         };
         Scene::new(degrees.iter().map(epoch).collect(), 30.0).unwrap()

@@ -106,6 +106,11 @@ impl Checkpoint {
         self.state.progress
     }
 
+    /// Whether values are rounded by choices of the encoder that the training has made its own.
+    pub fn has_rounded(&self) -> bool {
+        self.state.finishing.has_rounded()
+    }
+
     /// A trainer that goes on from here.
     ///
     /// # Errors

@@ -82,9 +82,14 @@ impl Finishing {
         self.decisions.as_deref().map(|text| serde_json::from_str(text).map_err(failed)).transpose()
     }
 
+    /// Whether rounding has begun.
+    pub(super) fn has_rounded(&self) -> bool {
+        self.decisions.is_some()
+    }
+
     /// Whether rounding is to begin.
     pub(super) fn rounding_due(&self, finish: &Finish, progress: f64) -> bool {
-        self.decisions.is_none() && finish.round_from < 1.0 && progress >= finish.round_from
+        !self.has_rounded() && finish.round_from < 1.0 && progress >= finish.round_from
     }
 
     /// Indices of the Gaussians that stay, if a pruning is due.

@@ -395,7 +395,7 @@ impl TrainOptions {
         // What the encoder chooses when rounding begins holds to the end, and says which bands are sent.
         let latest = self.finish.round_from / f64::from(self.sh_degree.max(1));
         if self.sh_degree > 0 && harmonics_every > latest {
-            let allowed = format!("0 to {latest:.4} (finish.round_from / sh_degree)");
+            let allowed = format!("0 to {latest} (finish.round_from / sh_degree)");
             return refuse("schedule.harmonics_every", harmonics_every.to_string(), allowed);
         }
         Ok(())

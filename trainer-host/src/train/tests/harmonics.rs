@@ -113,7 +113,7 @@ fn shares_between_bands_that_leave_one_out_are_refused_by_name() {
     }
     let finish = Finish { round_from: 0.4, ..Finish::default() };
     let late = TrainOptions { finish, ..banded(0.25) };
-    let expected = "schedule.harmonics_every is 0.25; 0 to 0.2000 (finish.round_from / sh_degree) is allowed";
+    let expected = "schedule.harmonics_every is 0.25; 0 to 0.2 (finish.round_from / sh_degree) is allowed";
     assert_eq!(refused(&late), expected);
     assert_eq!(TrainOptions { sh_degree: 1, ..late }.validate(), Ok(()));
     for every in [0.0, 0.25] {
