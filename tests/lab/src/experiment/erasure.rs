@@ -29,9 +29,13 @@ const CLEAN_HEAVIER: f64 = 1.5;
 /// The scenes, by name: one that is made, and one that is trained from its photographs.
 const SHEET: &str = "sheet";
 const BALLS: &str = "bouncingballs";
-/// Parity that streams are sent with, by the names of its rows.
-const PROTECTIONS: [(&str, Protection); 3] =
-    [("repaired", Protection::STANDARD), ("strong", Protection::STRONG), ("full", Protection::FULL)];
+/// Parity that streams are sent with: what `--repair` calls it, and what stands before its keys.
+const PROTECTIONS: [(&str, &str, Protection); 4] = [
+    ("none", "", Protection::NONE),
+    ("standard", "repaired.", Protection::STANDARD),
+    ("strong", "strong.", Protection::STRONG),
+    ("full", "full.", Protection::FULL),
+];
 
 /// What is measured of one loss.
 #[derive(Clone, Debug)]
@@ -49,38 +53,60 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     if perceptual.network.is_none() {
         bench.skipped.push("LPIPS: no weights of it are here (see --lpips)".into());
     }
-    let scenes = setup.chosen(if setup.quick { &[SHEET] } else { &[SHEET, BALLS] })?;
+    let scenes: &[&str] = if setup.quick { &[SHEET] } else { &[SHEET, BALLS] };
+    let named = |scene: &str, parity: &str| format!("{scene}.{parity}");
+    let names: Vec<String> =
+        scenes.iter().flat_map(|scene| PROTECTIONS.map(|(parity, ..)| named(scene, parity))).collect();
+    let chosen = setup.chosen(&names.iter().map(String::as_str).collect::<Vec<_>>())?;
     let with = (setup, &perceptual);
-    if scenes.contains(&SHEET) {
-        of_sheet(&mut bench, size, with)?;
-    }
-    if scenes.contains(&BALLS)
-        && let Some(path) = setup.data("scenes/dnerf-bouncingballs", &mut bench)?
-    {
-        let mut study = Study::of_photographs(&path, Size { seeds: 1, ..size })?;
-        let words = study.photographs_in_words(BALLS);
-        measure(&mut bench, ("bouncingballs.", &words), &study, with)?;
-        for (prefix, repair) in PROTECTIONS {
-            study = study.protected(repair)?;
-            let words = format!("the same, {} packets", study.encoded.stream.packets().len());
-            measure(&mut bench, (&format!("bouncingballs.{prefix}."), &words), &study, with)?;
+    for &scene in scenes {
+        let mut protections = PROTECTIONS.to_vec();
+        protections.retain(|(parity, ..)| chosen.contains(&&named(scene, parity)[..]));
+        if protections.is_empty() {
+            continue;
+        }
+        if scene == SHEET {
+            of_sheet(&mut bench, Study::make(size)?, &protections, with)?;
+        } else if let Some(path) = setup.data("scenes/dnerf-bouncingballs", &mut bench)? {
+            let study = Study::of_photographs(&path, Size { seeds: 1, ..size })?;
+            of_photographs(&mut bench, study, &protections, with)?;
         }
     }
     Ok(bench)
 }
 
-/// Adds the figures of the made scene.
-fn of_sheet(bench: &mut Bench, size: Size, with: (&Setup, &Perceptual)) -> Result<()> {
-    let mut sheet = Study::make(size)?;
-    let pairs = measure(bench, ("", &size.words()), &sheet, with)?;
-    groups(bench, &sheet, &pairs, with)?;
-    let first = bench.figures.len();
-    clean_heavier(bench, &sheet, &pairs)?;
-    with.0.show(bench, first);
-    drop(pairs);
-    for (prefix, repair) in PROTECTIONS {
+/// Adds the figures of the made scene with each of `protections`.
+fn of_sheet(
+    bench: &mut Bench,
+    mut sheet: Study,
+    protections: &[(&str, &str, Protection)],
+    with: (&Setup, &Perceptual),
+) -> Result<()> {
+    let words = sheet.size.words();
+    for &(_, prefix, repair) in protections {
         sheet = sheet.protected(repair)?;
-        measure(bench, (&format!("{prefix}."), "the same"), &sheet, with)?;
+        let pairs = measure(bench, (prefix, &words), &sheet, with)?;
+        if repair == Protection::NONE {
+            groups(bench, &sheet, &pairs, with)?;
+            let first = bench.figures.len();
+            clean_heavier(bench, &sheet, &pairs)?;
+            with.0.show(bench, first);
+        }
+    }
+    Ok(())
+}
+
+/// Adds the figures of the scene that was trained from photographs with each of `protections`.
+fn of_photographs(
+    bench: &mut Bench,
+    mut study: Study,
+    protections: &[(&str, &str, Protection)],
+    with: (&Setup, &Perceptual),
+) -> Result<()> {
+    for &(_, prefix, repair) in protections {
+        study = study.protected(repair)?;
+        let words = study.photographs_in_words(BALLS);
+        measure(bench, (&format!("{BALLS}.{prefix}"), &words), &study, with)?;
     }
     Ok(())
 }
