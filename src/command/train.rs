@@ -99,14 +99,15 @@ fn train(
             args.out.display()
         );
     }
-    let trained_for = match &resumed {
-        Some(checkpoint) => checkpoint.options().finish.target_bytes,
-        None => options(args)?.finish.target_bytes,
+    let begun = if args.resume { Plan::begun(&folder)? } else { None };
+    let trained_for = match (&resumed, &begun) {
+        (Some(checkpoint), _) => checkpoint.options().finish.target_bytes,
+        (None, Some(plan)) => plan.target_bytes(args),
+        (None, None) => options(args)?.finish.target_bytes,
     };
     // A scene that is there is encoded before it is fine-tuned.
     if scene.is_none() || delivery.is_none() {
-        let rate = args.scene.fps.or(resumed.as_ref().map(|checkpoint| checkpoint.frames_per_second));
-        let rate = rate.unwrap_or_else(|| args.scene.frames_per_second());
+        let rate = input.frames_per_second(args, resumed.as_ref().map(|c| c.frames_per_second));
         check_size(args, trained_for, (args.frames.unwrap_or(dataset.frames), rate))?;
     }
     let _opened = folder.open(args)?;
@@ -114,17 +115,22 @@ fn train(
     if let (Some(scene), Some(options)) = (scene, delivery) {
         return delivery::run(args, &folder, scene, dataset, (options, backend), &stop, quiet);
     }
-    let has_rounded = resumed.as_ref().is_some_and(Checkpoint::has_rounded) && !steps_are_typed(args);
+    let has_rounded = match (&resumed, &begun) {
+        (Some(checkpoint), _) => checkpoint.has_rounded(),
+        (None, Some(plan)) => plan.has_rounded(args)?,
+        (None, None) => false,
+    };
+    let has_rounded = has_rounded && !steps_are_typed(args);
     let encoder = EncoderOptions::of(args, trained_for);
     let (encoder, changes) = encoder.taken_up(&folder.encoder, args.resume, has_rounded)?;
     let with = (delivery.map(|options| (options, backend)), &encoder, network.as_ref());
     let plan = match scene {
-        Some(scene) => Plan::of(args, &folder, scene, dataset, &stop, quiet)?,
+        Some(scene) => Plan::of(args, &folder, scene, input, &stop, quiet)?,
         None => None,
     };
     let parted = plan.as_ref().filter(|plan| plan.is_parted());
     let mut output = if let (Some(plan), Some(scene)) = (parted, scene) {
-        let Some((trained, mut log, ended)) = plan.train(args, scene, dataset, &stop, quiet)? else {
+        let Some((trained, mut log, ended)) = plan.train(args, scene, input, &stop, quiet)? else {
             return Ok(left(args, plan));
         };
         files::write(&folder.log, log.csv().as_bytes())?;
@@ -138,7 +144,8 @@ fn train(
         if args.resume && resumed.is_none() {
             bail!("{}: no such checkpoint; train without --resume first", folder.checkpoint.display());
         }
-        let (mut trainer, begun) = begin(args, &folder, resumed, &options(args)?, dataset, backend)?;
+        let rate = input.frames_per_second(args, resumed.as_ref().map(|c| c.frames_per_second));
+        let (mut trainer, begun) = begin((args, rate), &folder, resumed, &options(args)?, dataset, backend)?;
         check_length(args, trainer.steps(), begun)?;
         let mut log = if args.resume { Log::resumed(&folder.log, trainer.steps())? } else { Log::default() };
         log.notes.extend_from_slice(&input.notes);
@@ -183,7 +190,8 @@ fn finish(
         Some((options, backend)) => {
             let references = (dataset, trained.options.background, trained.options.max_side);
             let with = (options, backend);
-            let tuned = delivery::fine_tuned(args, folder, &trained.scene, references, with, stop, quiet)?;
+            let sized = &with_size(args, trained);
+            let tuned = delivery::fine_tuned(sized, folder, &trained.scene, references, with, stop, quiet)?;
             ended.interrupted |= tuned.record.objective.len() < options.updates;
             tuning = Some((options, tuned.record, tuned.choice));
             section = Some(tuned.section);
@@ -241,6 +249,16 @@ fn finish(
     }
     output.json["utility"] = json!(audits);
     Ok(output)
+}
+
+/// `args` with the size that a scene was `trained` for, unless a size or steps were typed.
+fn with_size(args: &Train, trained: &Trained) -> Train {
+    let mut args = args.clone();
+    let bytes = trained.options.finish.target_bytes;
+    if bytes > 0 && !steps_are_typed(&args) {
+        args.codec.target_bytes.get_or_insert(bytes);
+    }
+    args
 }
 
 /// How close the pictures of what was `trained` are to photographs, before and after encoding, at several

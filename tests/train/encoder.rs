@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use super::{ok, refused, train};
+use super::{SCENE, dgs, ok, refused, train};
 
 /// A size that is larger or smaller than what the training has rounded for is met all the same.
 #[test]
@@ -14,6 +14,35 @@ fn sizes_are_met_where_motion_alone_does_not_lead_there() {
         let report: serde_json::Value = serde_json::from_str(&ok(folder.path(), &args)).unwrap();
         assert!(report["bytes"].as_u64().is_some_and(|found| found <= bytes + bytes / 10), "{report}");
     }
+    // It is met, too, where a training rounds nothing.
+    fs::write(folder.path().join("options.json"), r#"{"finish": {"target_bytes": 3000, "round_from": 1.0}}"#)
+        .unwrap();
+    let args = ["-o", "out", "--overwrite", "--json", "--options", "options.json"];
+    let report: serde_json::Value = serde_json::from_str(&ok(folder.path(), &args)).unwrap();
+    assert!(report["bytes"].as_u64().is_some_and(|found| found <= 3300), "{report}");
+}
+
+/// A clip has the frame rate that its source states, or what was typed at first; values that are rounded for
+/// so many frames stay those of so many.
+#[test]
+fn frames_and_their_rate_stay_what_they_were() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let heard = |args: &[&str]| {
+        let output = dgs(at, args);
+        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
+    };
+    heard(&["encode", SCENE, "-o", "fast.dgs", "--fps", "60", "--pictures", "0"]);
+    heard(&["decode", "fast.dgs", "-o", "fast"]);
+    let small = ["--side", "48", "--cameras", "3", "--pictures", "0"];
+    let short = ["--steps", "30", "--gaussians", "300", "--nodes", "8"];
+    let trained = |args: &[&str]| heard(&[&["train"], args, &small[..]].concat());
+    trained(&[&["fast", "-o", "out", "--frames", "2"], &short[..]].concat());
+    assert!(heard(&["inspect", "out/scene.dgs"]).contains("2 frames at 60 fps"));
+    let error = trained(&["fast", "-o", "out", "--resume"]);
+    assert!(error.contains("--frames is none; 2, as before, is allowed"), "{error}");
+    trained(&["fast", "-o", "out", "--resume", "--frames", "2", "--packet-bytes", "900"]);
+    assert!(heard(&["inspect", "out/scene.dgs"]).contains("2 frames at 60 fps"));
 }
 
 /// A size that not even one Gaussian leaves room for is refused before anything is trained.

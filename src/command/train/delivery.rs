@@ -331,7 +331,7 @@ pub(super) fn outcome(record: &Record, options: &DeliveryOptions, choice: Option
         return text;
     }
     text += &format!(
-        "  taken after update {}: with lost packets, worst tenth {:.2} → {:.2} dB; with all of them {:.2} → \
+        "  taken after update {}: with lost packets, 0.10 quantile {:.2} → {:.2} dB; with all of them {:.2} → \
          {:.2} dB; {} → {} bytes on the wire\n",
         taken.updates,
         before.p10_db,

@@ -3,7 +3,7 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 
 use super::{encoding::steps_are_typed, folder::Folder};
@@ -75,6 +75,15 @@ impl EncoderOptions {
             return Ok((self, Vec::new()));
         }
         let Some(before) = Self::read(path)? else { return Ok((self, Vec::new())) };
+        let frames = |options: &Self| options.0.get("--frames").cloned();
+        if has_rounded && frames(&self) != frames(&before) {
+            let [found, before] =
+                [frames(&self), frames(&before)].map(|v| v.unwrap_or_else(|| NONE.to_owned()));
+            bail!(
+                "--frames is {found}; {before}, as before, is allowed: the training has rounded its values for \
+                 so many frames"
+            );
+        }
         let stays = |change: &String| has_rounded && ROUNDED_BY.iter().any(|name| change.starts_with(name));
         let (stay, apply): (Vec<String>, Vec<String>) = self.changes(&before).into_iter().partition(stays);
         let mut notes = Vec::new();

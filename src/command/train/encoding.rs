@@ -131,6 +131,10 @@ pub(super) fn within_loss(
 ) -> Result<Written> {
     let mut options = pipeline::encode_options(&args.codec, Protection::NONE);
     let decisions = trained.decisions.as_ref().filter(|_| !steps_are_typed(args));
+    let bytes = trained.options.finish.target_bytes;
+    if bytes > 0 && !steps_are_typed(args) {
+        options.target = options.target.or(Some(Target::Bytes(bytes)));
+    }
     let bar = &Progress::new("encode", quiet.0);
     // There may be several encodings: a stage is said with the one that it is of.
     let named = |name: String| {
@@ -140,14 +144,10 @@ pub(super) fn within_loss(
         }
     };
     let scene = &trained.scene;
-    if let Some(decisions) = decisions {
-        let bytes = trained.options.finish.target_bytes;
-        options.target = options.target.or((bytes > 0).then_some(Target::Bytes(bytes)));
-        if options.target.is_some() {
-            let of_motion = named("encode, steps of motion".to_owned());
-            let of_all = named("encode, all steps".to_owned());
-            return to_size(scene, decisions, &options, &of_motion, &of_all);
-        }
+    if let Some(decisions) = decisions.filter(|_| options.target.is_some()) {
+        let of_motion = named("encode, steps of motion".to_owned());
+        let of_all = named("encode, all steps".to_owned());
+        return to_size(scene, decisions, &options, &of_motion, &of_all);
     }
     if options.target.is_some() || steps_are_typed(args) {
         let progress = named("encode".to_owned());

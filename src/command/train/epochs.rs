@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use trainer_host::{
     Scene,
     train::{
-        Dataset, TrainOptions,
+        Checkpoint, Finish, TrainOptions,
         dataset::rendered,
         epochs::{Parts, SplitOptions, part},
     },
@@ -18,6 +18,7 @@ use trainer_host::{
 
 use super::{
     folder::{Folder, epoch_folder},
+    input::Input,
     interruption::Interruption,
     log::Log,
     page::Ended,
@@ -34,13 +35,29 @@ use crate::{args::train::Train, files, pipeline::Quiet, progress::Progress};
 pub(super) struct Plan {
     #[serde(flatten)]
     pub(super) parts: Parts,
-    /// Steps of all of them together.
+    /// Steps of all of them together, where no time was given.
     steps: u32,
-    /// Options of all of them together, but for what follows from how the result is encoded.
+    /// Minutes of all of them together, if a time was given.
+    minutes: Option<f64>,
+    frames_per_second: f64,
+    /// Options of all of them together, but for what follows from how steps are typed.
     options: TrainOptions,
 }
 
 impl Plan {
+    /// The plan by which the training of `folder` was begun, if that was in parts.
+    ///
+    /// # Errors
+    /// A file that is no plan.
+    pub(super) fn begun(folder: &Folder) -> Result<Option<Self>> {
+        let path = &folder.epochs;
+        if !path.is_file() {
+            return Ok(None);
+        }
+        let failed = || path.display().to_string();
+        Ok(Some(serde_json::from_slice(&std::fs::read(path).with_context(failed)?).with_context(failed)?))
+    }
+
     /// The plan that the folder of `args` holds, or that trials lead to; nothing where nothing was tried.
     ///
     /// # Errors
@@ -49,23 +66,25 @@ impl Plan {
         args: &Train,
         folder: &Folder,
         scene: &Scene,
-        dataset: &Dataset,
+        input: &Input,
         stop: &Interruption,
         quiet: Quiet,
     ) -> Result<Option<Self>> {
+        let dataset = &input.dataset;
         let path = &folder.epochs;
         if args.resume {
-            if !path.is_file() {
-                return Ok(None);
-            }
-            let failed = || path.display().to_string();
-            let plan: Self =
-                serde_json::from_slice(&std::fs::read(path).with_context(failed)?).with_context(failed)?;
+            let Some(plan) = Self::begun(folder)? else { return Ok(None) };
             let last = plan.parts.frames.last().map_or(0, |frames| frames.end);
             if last != scene.frames() {
                 bail!("{}: of {last} frames; the scene has {}", path.display(), scene.frames());
             }
-            check_options(args, &plan.options).with_context(failed)?;
+            if let Some(frames) = args.frames {
+                bail!(
+                    "--frames is {frames}; the training is of a clip in epochs, which has the {last} of its \
+                     source: leave it out"
+                );
+            }
+            check_options(args, &plan.options).with_context(|| path.display().to_string())?;
             return Ok(Some(plan));
         }
         if args.split == 0.0 || args.frames.is_some() {
@@ -90,7 +109,12 @@ impl Plan {
         let plan = Self {
             parts: found,
             steps: args.steps.unwrap_or(DEFAULT_STEPS),
-            options: TrainOptions { finish: options_of_file(args)?.finish, ..options },
+            minutes: args.minutes,
+            frames_per_second: input.frames_per_second(args, None),
+            options: TrainOptions {
+                finish: Finish { target_bytes: options.finish.target_bytes, ..options_of_file(args)?.finish },
+                ..options
+            },
         };
         if plan.is_parted() {
             files::write(path, serde_json::to_string_pretty(&plan)?.as_bytes())?;
@@ -129,10 +153,12 @@ impl Plan {
         &self,
         args: &Train,
         scene: &Scene,
-        dataset: &Dataset,
+        input: &Input,
         stop: &Interruption,
         quiet: Quiet,
     ) -> Result<Option<(Trained, Log, Ended)>> {
+        let dataset = &input.dataset;
+        let rate = input.frames_per_second(args, Some(self.frames_per_second));
         let backend = render_host::Backend::open(args.device.into()).context("--device")?;
         let mut whole: Option<(Trained, Log)> = None;
         let (typed, mut is_complete) = (args, true);
@@ -143,7 +169,8 @@ impl Plan {
             let part = rendered::part(dataset, scene, frames.clone());
             let resumed = resumed(&args, &folder)?;
             let options = with_typed(self.options.clone(), &args);
-            let (mut trainer, begun) = begin(&args, &folder, resumed, &options, &part, &backend)?;
+            let (mut trainer, begun) = begin((&args, rate), &folder, resumed, &options, &part, &backend)?;
+            let args = self.timed(args, begun, frames.len() as f64 / dataset.frames as f64);
             is_complete &= begun >= 1.0;
             if let (Some(all), Some(share)) = (typed.steps, args.steps)
                 && begun < 1.0
@@ -168,12 +195,46 @@ impl Plan {
                 Some((before, of_before)) => (before.followed_by(trained)?, of_before.followed_by(log)),
             });
         }
-        let (trained, log) = whole.context("a plan without epochs")?;
+        let (mut trained, log) = whole.context("a plan without epochs")?;
+        trained.options.finish.target_bytes = self.target_bytes(typed);
         if is_complete {
             check_length(typed, trained.steps, 1.0)?;
         }
         let ended = Ended { seconds: log.seconds(), interrupted: false };
         Ok(Some((trained, log, ended)))
+    }
+
+    /// `args` of a part with its `share` of the minutes that were given at the start, where it begins now and
+    /// no other length was typed. One that had `begun` has what is left.
+    fn timed(&self, args: Train, begun: f64, share: f64) -> Train {
+        let is_due = begun <= 0.0 && args.steps.is_none() && args.minutes.is_none();
+        let minutes = self.minutes.filter(|_| is_due).map(|minutes| minutes * share);
+        Train { minutes: minutes.or(args.minutes), ..args }
+    }
+
+    /// Bytes that all parts together are to have at most: what was typed now, or else at the start; 0: whatever
+    /// they lead to.
+    pub(super) fn target_bytes(&self, args: &Train) -> u64 {
+        args.codec.target_bytes.unwrap_or(self.options.finish.target_bytes)
+    }
+
+    /// Whether every part has begun to round its values.
+    ///
+    /// # Errors
+    /// A checkpoint that cannot be read.
+    pub(super) fn has_rounded(&self, args: &Train) -> Result<bool> {
+        for path in self.checkpoints(args) {
+            let failed = || path.display().to_string();
+            if !path.is_file() {
+                return Ok(false);
+            }
+            let checkpoint =
+                Checkpoint::from_bytes(&std::fs::read(&path).with_context(failed)?).with_context(failed)?;
+            if !checkpoint.has_rounded() {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 
     /// The checkpoint of each part.
@@ -190,10 +251,12 @@ impl Plan {
         let gaussians = (self.options.max_gaussians as f64 * share) as usize;
         let mut args = args.clone();
         args.gaussians = Some(gaussians.max(1));
+        let is_timed = args.minutes.or(self.minutes.filter(|_| args.steps.is_none())).is_some();
         let steps = f64::from(args.steps.unwrap_or(self.steps));
-        args.steps = args.minutes.is_none().then_some(((steps * share).round() as u32).max(1));
+        args.steps = (!is_timed).then_some(((steps * share).round() as u32).max(1));
         args.minutes = args.minutes.map(|minutes| minutes * share);
-        args.codec.target_bytes = args.codec.target_bytes.map(|bytes| (bytes as f64 * share) as u64);
+        let bytes = self.target_bytes(&args);
+        args.codec.target_bytes = (bytes > 0).then_some(((bytes as f64 * share) as u64).max(1));
         args.resume &= Folder::of(out).checkpoint.is_file();
         out.clone_into(&mut args.out);
         args

@@ -1,12 +1,12 @@
 //! Reads what a training learns from, and says what a person should know of it.
 
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 use anyhow::{Result, bail};
 use trainer_host::{
     Scene,
     train::{
-        Dataset, Trimmed,
+        Dataset, PosedPhotograph, Trimmed,
         dataset::{self, rendered},
     },
 };
@@ -59,6 +59,18 @@ impl Input {
     }
 }
 
+impl Input {
+    /// Frames per second of what is trained: of a scene its own, else what was typed, what a training that
+    /// goes on was `begun` with, or the default.
+    pub(super) fn frames_per_second(&self, args: &Train, begun: Option<f64>) -> f64 {
+        let usual = args.scene.frames_per_second();
+        // Where a source does not say, a scene has what was typed, or the default.
+        let own = self.scene.as_ref().map(Scene::frames_per_second);
+        let own = own.filter(|&rate| rate != usual || args.scene.fps.is_some());
+        own.or(args.scene.fps).or(begun).unwrap_or(usual)
+    }
+}
+
 /// That frames have harmonics of different degrees, which a moving scene has not.
 fn harmonics_that_change(input: &str, scene: &Scene) -> Option<String> {
     let degrees = scene.epochs().iter().map(|epoch| epoch.attributes().sh_degree.get());
@@ -95,6 +107,7 @@ fn photographs(args: &Train, (mut dataset, trimmed): (Dataset, Option<Trimmed>))
             args.input
         ));
     }
+    notes.extend(chosen_on_tests(args, &dataset));
     notes.extend(beyond_the_photographs(args, &dataset));
     notes.extend(trimmed.map(|trimmed| {
         let ((width, height), (to_width, to_height)) = (trimmed.before, trimmed.after);
@@ -106,6 +119,23 @@ fn photographs(args: &Train, (mut dataset, trimmed): (Dataset, Option<Trimmed>))
         )
     }));
     Input { scene: None, dataset, damaged: false, notes }
+}
+
+/// That photographs are both for choosing quantiser steps and for testing, as the lists of a dataset may say.
+fn chosen_on_tests(args: &Train, dataset: &Dataset) -> Option<String> {
+    // Different photographs may have one name.
+    let seen = |view: &PosedPhotograph| (view.name.clone(), format!("{:?} {:?}", view.time, view.camera));
+    let tests: BTreeSet<_> = dataset.test.photographs().iter().map(seen).collect();
+    let validation = dataset.validation.photographs();
+    let both = validation.iter().filter(|view| tests.contains(&seen(view))).count();
+    (both > 0).then(|| {
+        format!(
+            "{}: {both} of {} photographs for validation are also for testing; quantiser steps are chosen on \
+             them",
+            args.input,
+            validation.len()
+        )
+    })
 }
 
 /// That part of the clip is of times that no photograph shows.

@@ -65,6 +65,8 @@ impl Sample {
 pub(super) struct Log {
     pub(super) samples: Vec<Sample>,
     pub(super) notes: Vec<String>,
+    /// Where the samples of each further epoch begin.
+    epochs: Vec<usize>,
 }
 
 impl Log {
@@ -126,9 +128,16 @@ impl Log {
             seconds: sample.seconds + seconds,
             ..sample
         };
+        self.epochs.push(self.samples.len());
         self.samples.extend(next.samples.into_iter().map(later));
         self.notes.extend(next.notes);
         self
+    }
+
+    /// Ends with `last`, unless a sample of that step is there.
+    pub(super) fn end(&mut self, last: Option<Sample>) {
+        let has = |step: u32| self.samples.last().is_some_and(|sample| sample.step >= step);
+        self.samples.extend(last.filter(|last| !has(last.step)));
     }
 
     /// Seconds of training so far.
@@ -136,11 +145,19 @@ impl Log {
         self.samples.last().map_or(0.0, |sample| sample.seconds)
     }
 
-    /// The highest PSNR and the last one, dB, where the training has clearly lost what it had.
+    /// The highest PSNR and the last one, dB, where the training, or that of an epoch, has clearly lost what it
+    /// had.
     pub(super) fn fall(&self) -> Option<(f64, f64)> {
-        let psnr = || self.samples.iter().filter_map(|sample| sample.psnr_db);
-        let (best, last) = (psnr().fold(f64::MIN, f64::max), psnr().next_back()?);
-        (last < best - CLEAR_FALL_DB).then_some((best, last))
+        let ends = self.epochs.iter().copied().chain([self.samples.len()]);
+        let mut start = 0;
+        ends.filter_map(|end| {
+            let samples = self.samples.get(start..end).unwrap_or_default();
+            start = end;
+            let psnr = || samples.iter().filter_map(|sample| sample.psnr_db);
+            let (best, last) = (psnr().fold(f64::MIN, f64::max), psnr().next_back()?);
+            (last < best - CLEAR_FALL_DB).then_some((best, last))
+        })
+        .next()
     }
 
     /// For the progress bar; `left` is an estimate, seconds.
@@ -168,7 +185,8 @@ mod tests {
             size: (40, 30),
             psnr_db,
         };
-        let log = Log { samples: vec![sample(100, None), sample(200, Some(31.5))], notes: Vec::new() };
+        let samples = vec![sample(100, None), sample(200, Some(31.5))];
+        let log = Log { samples, ..Log::default() };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log.csv");
         std::fs::write(&path, log.csv()).unwrap();
@@ -182,5 +200,29 @@ mod tests {
         std::fs::write(&path, [0xff, b'\n', 7]).unwrap();
         let foreign = Log::resumed(&path, 200).unwrap();
         assert!(foreign.samples.is_empty() && foreign.notes[0].contains("line 1 is not"), "{foreign:?}");
+    }
+
+    #[test]
+    fn epochs_follow_each_other_and_are_judged_one_by_one() {
+        let log = |samples: &[(u32, Option<f64>)]| {
+            let of = |&(step, psnr_db): &(u32, Option<f64>)| Sample {
+                step,
+                seconds: f64::from(step),
+                loss: 0.25,
+                gaussians: 10,
+                nodes: 2,
+                size: (40, 30),
+                psnr_db,
+            };
+            Log { samples: samples.iter().map(of).collect(), ..Log::default() }
+        };
+        let mut first = log(&[(100, Some(36.0))]);
+        first.end(log(&[(150, None)]).samples.pop());
+        first.end(log(&[(150, Some(9.0))]).samples.pop());
+        let both = first.clone().followed_by(log(&[(90, Some(27.0))]));
+        assert_eq!(both.samples.iter().map(|sample| sample.step).collect::<Vec<_>>(), [100, 150, 240]);
+        assert!(both.seconds() == 240.0 && both.fall().is_none(), "an epoch is no fall from that before");
+        let fallen = first.followed_by(log(&[(80, Some(27.0)), (90, Some(20.0))]));
+        assert_eq!(fallen.fall(), Some((27.0, 20.0)));
     }
 }

@@ -52,33 +52,32 @@ pub(super) fn resumed(args: &Train, folder: &Folder) -> Result<Option<Checkpoint
     Ok(Some(checkpoint))
 }
 
-/// A trainer on `backend`, at its checkpoint or with `options` at its start, and how far it had come.
+/// A trainer on `backend`, at its checkpoint or with `options` at its start, and how far it had come; of a
+/// clip of so many frames per second.
 pub(super) fn begin<'d>(
-    args: &Train,
+    (args, rate): (&Train, f64),
     folder: &Folder,
     resumed: Option<Checkpoint>,
     options: &train::TrainOptions,
     dataset: &'d Dataset,
     backend: &Backend,
 ) -> Result<(Trainer<'d>, f64)> {
-    if let Some(checkpoint) = resumed {
-        let failed = || folder.checkpoint.display().to_string();
-        let progress = checkpoint.progress();
-        let rate = args.scene.fps.unwrap_or(checkpoint.frames_per_second);
-        let trainer = checkpoint.resume(dataset).with_context(failed)?.on(backend)?;
-        return Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), progress));
-    }
-    let posed = options.max_gaussians.saturating_mul(dataset.frames);
-    if posed > Checkpoint::MAX_POSED {
+    let most = resumed.as_ref().map_or(options, |checkpoint| checkpoint.options()).max_gaussians;
+    let frames = args.frames.unwrap_or(dataset.frames);
+    if most.saturating_mul(frames) > Checkpoint::MAX_POSED {
         bail!(
-            "--gaussians is {} over {} frames; up to {} in all frames together are allowed",
-            options.max_gaussians,
-            dataset.frames,
+            "--gaussians is {most} over {frames} frames; up to {} in all frames together are allowed",
             Checkpoint::MAX_POSED
         );
     }
+    if let Some(checkpoint) = resumed {
+        let failed = || folder.checkpoint.display().to_string();
+        let progress = checkpoint.progress();
+        let trainer = checkpoint.resume(dataset).with_context(failed)?.on(backend)?;
+        return Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), progress));
+    }
     let trainer = Trainer::new(dataset, options)?.on(backend)?;
-    Ok((trainer.encoded_by(encoding_of(args, dataset, args.scene.frames_per_second())), 0.0))
+    Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), 0.0))
 }
 
 /// Refuses options that are others than those that the checkpoint goes on with.
@@ -208,6 +207,7 @@ pub(super) fn fit(
     let after = |progress: f64| ((progress * glances).floor() + 1.0) / glances;
     let mut next_glance = if begun > 0.0 { after(begun) } else { 0.0 };
     let mut interrupted = false;
+    let mut last = None;
     while progress < 1.0 && !interrupted {
         let report = match trainer.step(progress) {
             Ok(report) => report,
@@ -254,6 +254,7 @@ pub(super) fn fit(
             }
         }
         interrupted = stop.take();
+        last = Some(Sample::of(&report, before + seconds, None));
         if interrupted || report.step.is_multiple_of(args.checkpoint_every) {
             save(folder, dataset, trainer, progress)?;
             files::write(&folder.log, log.csv().as_bytes())?;
@@ -262,6 +263,8 @@ pub(super) fn fit(
     if !interrupted {
         save(folder, dataset, trainer, 1.0)?;
     }
+    // Where a training ends is in its log.
+    log.end(last);
     files::write(&folder.log, log.csv().as_bytes())?;
     Ok(Ended { seconds: before + clock.elapsed().as_secs_f64(), interrupted })
 }

@@ -82,7 +82,8 @@ pub fn with_levels(
 
 /// Encodes `scene`, whose canonical values `decisions` were made for or which have changed a little since:
 /// motion, with steps `motion` times as long, and entropy tables are decided anew, packets as `options` say,
-/// and the rest stays. Profile `paper` keeps all.
+/// and the rest stays, but for blocks whose symbols no longer fit a packet, for which all are halved until
+/// they do where no proxy was trained for them. Profile `paper` keeps all.
 ///
 /// # Errors
 /// As [`write()`].
@@ -95,9 +96,18 @@ pub fn reencode(
 ) -> Result<Encoded, EncodeError> {
     let Decisions::Dgs1(decided) = decisions else { return write(scene, decisions, progress) };
     decisions.check(scene)?;
-    report(progress, "decide", 0.0)?;
-    let decided = dgs1::reencode(scene, decided.clone(), motion, options)?;
-    write(scene, &Decisions::Dgs1(decided), &part(progress, 0.7, 1.0))
+    let mut decided = decided.clone();
+    let may_be_halved = decided.epochs.iter().all(|epoch| epoch.proxy_changes.is_empty());
+    loop {
+        report(progress, "decide", 0.0)?;
+        let again = dgs1::reencode(scene, decided.clone(), motion, options)?;
+        match write(scene, &Decisions::Dgs1(again), &part(progress, 0.7, 1.0)) {
+            Err(EncodeError::BlockTooLarge { .. }) if may_be_halved && decided.block_len > 1 => {
+                decided.block_len = decided.block_len.div_ceil(2);
+            }
+            result => return result,
+        }
+    }
 }
 
 /// What a manifest holds of frame rates, which are frames per 1000 seconds where they are no whole numbers.
@@ -151,6 +161,11 @@ mod tests {
     use crate::{
         Attributes, Epoch,
         encode::{EncodeOptions, encode, no_progress},
+        import::{
+            Limits,
+            synth::{self, SynthKind, SynthOptions},
+        },
+        stream::Player,
     };
 
     /// Gaussians at these places, `frames` of them one after the other.
@@ -189,5 +204,34 @@ mod tests {
             assert_eq!(error, format!("the scene's frame rate is {rate}; {words}"));
         }
         encode(&scene(1, vec![[1e9, -1e9, 0.0]; 3]), &options, &no_progress).unwrap();
+    }
+
+    /// With packets too small for blocks as they were decided, the same values in smaller blocks.
+    #[test]
+    fn blocks_that_no_longer_fit_are_halved_where_a_scene_is_encoded_again() {
+        let options =
+            SynthOptions { gaussians: 1000, frames: 8, kind: SynthKind::Figure, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let options = EncodeOptions { pictures: 0, block_len: 256, ..EncodeOptions::default() };
+        let first = encode(&scene, &options, &no_progress).unwrap();
+        let small = EncodeOptions { packet_bytes: 200, ..options };
+        let again = reencode(&scene, &first.decisions, 1.0, &small, &no_progress).unwrap();
+        assert!(
+            again.stream.packets().iter().all(|packet| packet.len() <= 200) && again.order == first.order
+        );
+        let block_len = |encoded: &Encoded| match &encoded.decisions {
+            Decisions::Dgs1(decisions) => decisions.block_len,
+            Decisions::Paper(_) => 0,
+        };
+        let lens = (block_len(&first), block_len(&again));
+        assert!(lens.1 < lens.0, "{lens:?}");
+        let shown = |encoded: &Encoded| {
+            let received = encoded.stream.receive().unwrap();
+            let content = received.content();
+            let mut player = Player::new(content.manifest);
+            player.show(&content, 0).unwrap().gaussians.to_vec()
+        };
+        let (before, after) = (shown(&first), shown(&again));
+        assert!(before.iter().zip(&after).all(|(a, b)| a.sh0 == b.sh0 && a.scale == b.scale));
     }
 }

@@ -13,6 +13,9 @@ use serde::Serialize;
 use super::{model::Model, pixel_mask::PixelMask, views::Views};
 use crate::scene::Instant;
 
+/// PSNR of a picture that is its photograph value for value, dB; none counts more.
+pub(super) const EQUAL_DB: f64 = 100.0;
+
 /// How well pictures agree with photographs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Evaluation {
@@ -20,7 +23,7 @@ pub struct Evaluation {
     pub size: (u32, u32),
     /// Background of both.
     pub background: [f32; 3],
-    /// Mean over views of each view's PSNR, dB; of a photograph with a mask over pixels that count: those of
+    /// Mean over views of each view's PSNR, dB, at most 100; of a photograph with a mask over pixels that count: those of
     /// a smaller picture that cover only such pixels.
     pub psnr_db: f64,
     /// Mean over views of the PSNR over pixels whose alpha is at least a half, dB.
@@ -180,17 +183,22 @@ pub fn evaluate<S: Sync>(
 ) -> Result<Evaluation, EvaluationError> {
     let measured = views.photographs().par_iter().enumerate().map(|(index, view)| {
         let Compared { rendered, photograph, counted } = compare(scene, views, index, reduced, background)?;
-        let is_foreground = |x: u32, y: u32| {
-            let (x, y) = (x * reduced, y * reduced);
+        let coverage = |x: u32, y: u32| -> u32 {
             let at = (y * view.photograph.width() + x) as usize;
-            let alpha = || view.photograph.rgba().get(4 * at + 3).copied().unwrap_or(0);
-            view.foreground.as_ref().map_or_else(|| alpha() >= 128, |mask| mask.at(x, y))
+            let alpha = || view.photograph.rgba().get(4 * at + 3).copied().unwrap_or(0).into();
+            view.foreground.as_ref().map_or_else(alpha, |mask| 255 * u32::from(mask.at(x, y)))
+        };
+        // Of a pixel that stands for several, their mean.
+        let is_foreground = |x: u32, y: u32| {
+            let pixels =
+                (0..reduced * reduced).map(|k| (x * reduced + k % reduced, y * reduced + k / reduced));
+            pixels.map(|(x, y)| u64::from(coverage(x, y))).sum::<u64>() >= 128 * u64::from(reduced).pow(2)
         };
         let is_counted = |x: u32, y: u32| counted.as_ref().is_none_or(|mask| mask.at(x, y));
         let of_counted = counted.as_ref().and_then(|_| psnr_where(&rendered, &photograph, is_counted));
         Ok::<_, EvaluationError>(OfView {
             size: rendered.size(),
-            psnr_db: of_counted.map_or_else(|| metric::psnr(&rendered, &photograph), Ok)?,
+            psnr_db: of_counted.map_or_else(|| metric::psnr(&rendered, &photograph), Ok)?.min(EQUAL_DB),
             foreground_db: psnr_where(&rendered, &photograph, |x, y| is_foreground(x, y) && is_counted(x, y)),
             ssim: match &counted {
                 Some(mask) => metric::ssim_where_counted(&rendered, &photograph, mask.values())?,
@@ -207,7 +215,7 @@ pub fn evaluate<S: Sync>(
         size,
         background,
         psnr_db: mean(psnr_of_views_db.clone()),
-        foreground_psnr_db: if with_foreground.is_empty() { 100.0 } else { mean(with_foreground) },
+        foreground_psnr_db: if with_foreground.is_empty() { EQUAL_DB } else { mean(with_foreground) },
         worst_psnr_db: psnr_of_views_db.iter().copied().fold(f64::INFINITY, f64::min),
         ssim: mean(measured.iter().map(|view| view.ssim).collect()),
         psnr_of_views_db,
@@ -261,5 +269,5 @@ fn psnr_where(a: &Image, b: &Image, counts: impl Fn(u32, u32) -> bool) -> Option
         }
     }
     let error = (values > 0).then(|| sum / values as f64)?;
-    Some(if error > 0.0 { (-10.0 * error.log10()).min(100.0) } else { 100.0 })
+    Some(if error > 0.0 { (-10.0 * error.log10()).min(EQUAL_DB) } else { EQUAL_DB })
 }

@@ -10,7 +10,7 @@ use render_host::metric;
 
 use super::{
     error::TrainError,
-    evaluation::{self, EvaluationError},
+    evaluation::{self, EQUAL_DB, EvaluationError},
     model::Model,
     motion::{Posed, Skinned},
     rotation::{Quaternion, dot},
@@ -45,7 +45,7 @@ impl Trial<'_> {
         for k in 0..count {
             let index = k * all / count;
             let compared = evaluation::compare(model, self.views, index, self.reduced, self.background)?;
-            sum += metric::psnr(&*compared.where_counted()?, &compared.photograph)?;
+            sum += metric::psnr(&*compared.where_counted()?, &compared.photograph)?.min(EQUAL_DB);
         }
         Ok(sum / count.max(1) as f64)
     }

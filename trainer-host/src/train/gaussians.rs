@@ -205,6 +205,14 @@ impl TrainedGaussians {
         nodes
     }
 
+    /// Adds these to the gradients of positions before motion, by index.
+    pub(super) fn add_position_gradients(&mut self, by_index: &[(usize, [f32; 3])]) {
+        let gradient = self.position.gradient_mut();
+        for (index, slope) in by_index {
+            gradient[3 * index..].iter_mut().zip(slope).for_each(|(sum, v)| *sum += v);
+        }
+    }
+
     /// Adds the gradients of `opacity_weight · mean opacity + scale_weight · mean scale`, scales in units of
     /// `unit`, scene units: what is not needed fades and shrinks (Kheradmand et al. 2024, section 3.4).
     pub(super) fn regularise(&mut self, opacity_weight: f32, scale_weight: f32, unit: f32) {

@@ -18,7 +18,7 @@ mod trajectory;
 pub use basis::TemporalBasis;
 pub(super) use layer::{Followed, MovedPoint, NodeGradient};
 pub(super) use nodes::ControlNodes;
-pub(super) use residual::{Neighbourhoods, slope as residual_slope};
+pub(super) use residual::{Neighbourhoods, slopes as residual_slopes};
 pub(super) use skinning::{Posed, PosedGradient, Rest, Skinned, SkinnedGradient};
 pub(super) use trajectory::{Trajectory, times as trajectory_times};
 

@@ -74,6 +74,7 @@ pub struct Finish {
     /// Share of the Gaussians that each pruning removes.
     pub prune: f64,
     /// From this share of the training on it runs as the encoder rounds and with what values cost; 1: never.
+    /// At least [`Schedule::density_end`]: choices of the encoder hold for the Gaussians that there are.
     pub round_from: f64,
     /// Quantiser steps from then on, of the encoder's default.
     pub coarseness: f32,
@@ -195,10 +196,13 @@ impl Finish {
         for (field, value) in shares {
             real(field, value as f32, 1.0, "0 to 1")?;
         }
+        let in_order = if first <= second { 1.0 } else { -1.0 };
+        real("finish.prune_at[1]", second as f32, in_order, "finish.prune_at[0] to 1")?;
         real("finish.rate_weight", rate_weight, 100.0, "0 to 100")?;
         for (field, value) in [("finish.coarseness", coarseness), ("finish.motion", motion)] {
-            let positive = if value > 0.0 { value } else { f32::NAN };
-            real(field, positive, 64.0, "above 0, to 64")?;
+            // Below the least that is allowed, it is outside of what is.
+            let most = if value > 0.0 { 64.0 } else { -1.0 };
+            real(field, value, most, "above 0, to 64")?;
         }
         Ok(())
     }
@@ -392,6 +396,11 @@ impl TrainOptions {
         }
         real("schedule.harmonics_every", harmonics_every as f32, 0.25, "0 to 0.25")?;
         self.finish.validate(real)?;
+        let (round_from, density_end) = (self.finish.round_from, density_end);
+        if round_from < density_end {
+            let allowed = format!("{density_end} (schedule.density_end) to 1");
+            return refuse("finish.round_from", round_from.to_string(), allowed);
+        }
         // What the encoder chooses when rounding begins holds to the end, and says which bands are sent.
         let latest = self.finish.round_from / f64::from(self.sh_degree.max(1));
         if self.sh_degree > 0 && harmonics_every > latest {

@@ -389,9 +389,22 @@ fn options_out_of_range_and_empty_splits_are_refused_by_name() {
         |dataset: &Dataset, options: &TrainOptions| Trainer::new(dataset, options).unwrap_err().to_string();
     let text = refused(&dataset, &TrainOptions { sh_degree: 4, ..options() });
     assert!(text.contains("sh_degree is 4; 0 to 3"), "{text}");
+    for (finish, said) in [
+        (
+            Finish { round_from: 0.5, ..Finish::default() },
+            "finish.round_from is 0.5; 0.6 (schedule.density_end) to 1",
+        ),
+        (
+            Finish { prune_at: [0.9, 0.7], ..Finish::default() },
+            "finish.prune_at[1] is 0.7; finish.prune_at[0] to 1",
+        ),
+    ] {
+        let text = TrainOptions { finish, ..options() }.validate().unwrap_err().to_string();
+        assert!(text.contains(said), "{text}");
+    }
     let finish = Finish { coarseness: 0.0, ..Finish::default() };
     let text = refused(&dataset, &TrainOptions { finish, ..options() });
-    assert!(text.contains("finish.coarseness") && text.contains("above 0, to 64"), "{text}");
+    assert!(text.contains("finish.coarseness is 0;") && text.contains("above 0, to 64"), "{text}");
     let finish = Finish { prune_at: [0.5, 1.5], ..Finish::default() };
     assert!(refused(&dataset, &TrainOptions { finish, ..options() }).contains("finish.prune_at[1] is 1.5"));
     let text = refused(&dataset, &TrainOptions { rigidity: f32::NAN, ..options() });

@@ -26,7 +26,7 @@ use super::{
     freeze::{self, Trial},
     gaussians::TrainedGaussians,
     model::Model,
-    motion::{ControlNodes, Neighbourhoods, TemporalBasis, residual_slope},
+    motion::{ControlNodes, Neighbourhoods, TemporalBasis, residual_slopes},
     moving_region::MovingRegion,
     options::{DensityControl, TrainOptions},
     parameter::AdamStep,
@@ -268,7 +268,7 @@ impl<'a> Trainer<'a> {
 
     /// Prunes, or begins to round, where the schedule says so.
     fn finish(&mut self, progress: f64) -> Result<(), TrainError> {
-        let State { model, finishing, pull, neighbourhoods, size, .. } = &mut self.state;
+        let State { model, finishing, pull, neighbourhoods, average, size, .. } = &mut self.state;
         let size_of = |view| self.pyramid.size(view, *size);
         let differentiator = &mut self.memory.differentiator;
         let options = &self.options;
@@ -277,6 +277,7 @@ impl<'a> Trainer<'a> {
             model.select(&needed);
             neighbourhoods.select(&needed);
             *pull = ViewGradients::none(needed.len());
+            *average = None;
         }
         if finishing.rounding_due(&options.finish, progress) {
             self.finisher.encode_first(&options.finish, model, finishing)?;
@@ -346,13 +347,14 @@ impl<'a> Trainer<'a> {
         if progress < self.options.schedule.density_end {
             self.state.pull.add(&self.memory.gradients.splats, &self.memory.statistics);
         }
-        self.price_residuals(progress);
+        let of_positions = self.price_residuals(progress);
         let gradients = &self.memory.gradients;
         let state = &mut self.state;
         let Model { gaussians, nodes, followed, .. } = &mut state.model;
         let poses = nodes.poses(time);
         let mut of_nodes =
             gaussians.backward(&nodes.skin(&poses), followed, &gradients.splats, &gradients.sh_rest);
+        gaussians.add_position_gradients(&of_positions);
         // Rigidity is a sum of squared lengths: measured in extents it means the same in every scene.
         let unit = self.region.extent.half_side as f32;
         let rigidity = schedule::rigidity(&self.options, progress) / (unit * unit);
@@ -376,12 +378,14 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// Adds to the gradients of the splats in memory those of what their residuals cost, once they do.
-    fn price_residuals(&mut self, progress: f64) {
+    /// Adds to the gradients of the splats in memory those of what their residuals cost, once they do; gives
+    /// those of the positions before motion, by index.
+    fn price_residuals(&mut self, progress: f64) -> Vec<(usize, [f32; 3])> {
         let weight = f64::from(schedule::residual_weight(&self.options, progress));
         let State { model, neighbourhoods, step, .. } = &mut self.state;
+        let mut of_positions = Vec::new();
         if weight == 0.0 || model.nodes.is_empty() {
-            return;
+            return of_positions;
         }
         if neighbourhoods.is_empty() || step.is_multiple_of(NEIGHBOURHOODS_EVERY) {
             let moves = |index: usize| model.followed[index].is_some();
@@ -391,10 +395,13 @@ impl<'a> Trainer<'a> {
         let unit = self.region.extent.half_side;
         let share = weight / instant.gaussians.len().max(1) as f64;
         let moved = |index: usize| instant.gaussians[index].position;
-        neighbourhoods.each_residual(model.gaussians.positions(), moved, |index, residual| {
-            let slope = (share * residual_slope(residual, unit)).as_vec3().to_array();
-            gradients.splats[index].position.iter_mut().zip(slope).for_each(|(sum, v)| *sum += v);
+        neighbourhoods.each_residual(model.gaussians.positions(), moved, |index, residual, map| {
+            let slopes = residual_slopes(residual, map, unit);
+            let [of_moved, of_rest] = slopes.map(|slope| (share * slope).as_vec3().to_array());
+            gradients.splats[index].position.iter_mut().zip(of_moved).for_each(|(sum, v)| *sum += v);
+            of_positions.push((index, of_rest));
         });
+        of_positions
     }
 
     /// Adds and removes Gaussians if it is time.
@@ -416,13 +423,17 @@ impl<'a> Trainer<'a> {
         *followed = from.iter().map(|&index| followed[index]).collect();
         state.neighbourhoods.select(&from);
         state.pull = ViewGradients::none(gaussians.len());
+        // The average so far is one of others.
+        state.average = None;
     }
 
     /// Stands Gaussians still that hardly move, if it is time and pictures of training views bear it.
     fn freeze_still(&mut self, progress: f64) -> Result<(), TrainError> {
         let stages = schedule::stands(&self.options);
         let due = stages.get(self.state.stands).is_some_and(|&at| progress >= at);
-        if !due || self.state.step < STAND_STILL_FROM || !self.state.model.is_sound() {
+        // Once values are rounded, the encoder has chosen what moves.
+        let is_early = self.state.step < STAND_STILL_FROM;
+        if !due || is_early || self.state.finishing.has_rounded() || !self.state.model.is_sound() {
             return Ok(());
         }
         self.state.stands += 1;
@@ -430,8 +441,9 @@ impl<'a> Trainer<'a> {
         let trial = Trial { views: self.views, reduced, background: self.options.background };
         let most = self.options.stand_still_within * self.region.extent.half_side as f32;
         freeze::freeze_still(&mut self.state.model, most, &trial)?;
-        // They hold none that stands still, and are found anew.
+        // They hold none that stands still, and are found anew; the average is of what moved.
         self.state.neighbourhoods = Neighbourhoods::default();
+        self.state.average = None;
         Ok(())
     }
 

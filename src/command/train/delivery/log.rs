@@ -74,7 +74,7 @@ impl DeliveryLog {
 /// For the progress bar: `update`, the last that validation saw, and how long it takes yet, seconds.
 pub(super) fn line(update: &Update, candidates: &[Candidate], left: f64) -> String {
     let seen =
-        candidates.last().map_or_else(String::new, |last| format!("worst tenth {:.2} dB, ", last.p10_db));
+        candidates.last().map_or_else(String::new, |last| format!("0.10 quantile {:.2} dB, ", last.p10_db));
     let (minutes, seconds) = (left as u64 / 60, left as u64 % 60);
     let Update { updates, of, objective, .. } = update;
     format!("update {updates} of {of}, objective {objective:.5}, {seen}{minutes}:{seconds:02} left")
@@ -122,7 +122,7 @@ mod tests {
     fn the_line_says_how_far_it_is_and_how_long_it_takes() {
         let update = Update { updates: 12, of: 240, objective: 0.012_36, expected: 0.01, arrived: 0.5 };
         let text = line(&update, &[candidate(0)], 200.9);
-        assert_eq!(text, "update 12 of 240, objective 0.01236, worst tenth 25.50 dB, 3:20 left");
+        assert_eq!(text, "update 12 of 240, objective 0.01236, 0.10 quantile 25.50 dB, 3:20 left");
         assert!(!line(&update, &[], 0.0).contains("worst"));
     }
 }

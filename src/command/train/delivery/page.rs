@@ -87,7 +87,7 @@ fn curves(record: &Record) -> String {
     if !record.candidates.is_empty() {
         let series = vec![
             line("complete state", 0, seen(|candidate| candidate.clean_db)),
-            line("worst tenth of states with lost packets", 1, seen(|candidate| candidate.p10_db)),
+            line("0.10 quantile of states with lost packets", 1, seen(|candidate| candidate.p10_db)),
         ];
         panels.push(panel("validation, PSNR, dB", "dB", 2, series));
     }
@@ -105,10 +105,11 @@ fn candidates(record: &Record) -> String {
     if record.candidates.is_empty() {
         return String::new();
     }
-    let mut out = "<h3>Candidates</h3>\n<table><tr><th>after update</th><th>worst tenth of states with lost \
+    let mut out =
+        "<h3>Candidates</h3>\n<table><tr><th>after update</th><th>0.10 quantile of states with lost \
                    packets, dB</th><th>complete state, dB</th><th>bytes on the wire</th><th>prefixes that \
                    lose</th><th></th></tr>\n"
-        .to_owned();
+            .to_owned();
     for (index, candidate) in record.candidates.iter().enumerate() {
         let _ = writeln!(
             out,

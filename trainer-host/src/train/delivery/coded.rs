@@ -4,6 +4,8 @@
 //! levels and states keep their meaning. Between two encodings a decoded Gaussian moves by what its
 //! parameters have changed.
 
+mod posed;
+
 use std::ops::Range;
 
 use codec_core::{
@@ -17,6 +19,7 @@ use codec_core::{
 };
 use render_host::{Splats, SplatsError, adjoint::SplatGradient};
 
+pub(super) use self::posed::BlockVersion;
 use super::{
     error::DeliveryError,
     gradient::Gradient,
@@ -237,13 +240,6 @@ impl Moving<'_> {
         self.coded.blocks.get(self.place(frame).0).map_or(&[], Vec::as_slice)
     }
 
-    /// What a block looks like at `frame` depends on these masks of a state: its own, and that of its motion.
-    pub(super) fn masks(&self, block: &Block, frame: u32) -> (usize, Option<usize>) {
-        let window = self.content.manifest.window_at(frame).map(Span::Motion);
-        let cell = window.and_then(|span| self.content.cell(span, block.cluster));
-        (block.canonical, cell.map(|cell| cell.blocks as usize + block.index))
-    }
-
     /// What a receiver in `state` shows at `frame`.
     ///
     /// # Errors
@@ -282,8 +278,7 @@ impl Moving<'_> {
         // What is missing of motion is no error of quantisation.
         let moves_whole = |block: &Block| {
             let arrived = |mask: usize| Arrived(state.get(mask).copied().unwrap_or(0));
-            let (_, motion) = self.masks(block, frame);
-            motion.is_none_or(|mask| arrived(mask).usable() == Level::COUNT)
+            self.motion_mask(block, frame).is_none_or(|mask| arrived(mask).usable() == Level::COUNT)
         };
         let is_learned = !gradient.steps.is_empty();
         let counts: Vec<bool> = blocks.iter().map(|block| is_learned && moves_whole(block)).collect();
@@ -320,6 +315,8 @@ impl Moving<'_> {
         for (number, block) in self.blocks(frame).iter().enumerate() {
             let arrived = Arrived(state.get(block.canonical).copied().unwrap_or(0));
             if arrived.usable() > 0 {
+                // Parameters are carried to the world by the pose that is shown.
+                let t = self.pose_frame(block.cluster, (frame, t), state);
                 for decoded in block.gaussians.clone() {
                     let source = order[decoded] as usize;
                     let follows = Follows::Source(Anchor::of(epoch, source, t), axes[e][decoded]);
@@ -346,117 +343,4 @@ fn with_proxies(decisions: &Decisions, parameters: &Parameters) -> Decisions {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::train::delivery::{parameters::tests::linear, view::tests::study};
-
-    fn options() -> encode::EncodeOptions {
-        encode::EncodeOptions { packet_bytes: 400, block_len: 16, pictures: 0, ..Default::default() }
-    }
-
-    #[test]
-    fn blocks_partition_the_gaussians_and_the_complete_state_is_near_the_source() {
-        let (scene, _) = study(3, 1);
-        for options in [options(), encode::EncodeOptions::paper()] {
-            let coded = Coded::first(&scene, &options).unwrap();
-            let parameters = no_change(&scene);
-            let moving = coded.moving(&scene, &parameters);
-            let mut next = 0;
-            for block in moving.blocks(1) {
-                assert_eq!(block.gaussians.start, next);
-                next = block.gaussians.end;
-            }
-            assert_eq!(next, coded.encoded.order[0].len());
-            let complete = coded.received.content().blocks.to_vec();
-            let shown = moving.shown(&mut coded.player(), &complete, 2).unwrap();
-            let source = scene.instant(2).unwrap();
-            let size = |g: &Gaussian| g.scale.iter().fold(0f32, |a, &s| a.max(s));
-            for (g, &i) in shown.gaussians.iter().zip(&coded.encoded.order[0]) {
-                let other = source.gaussians[i as usize];
-                let far = (0..3).map(|d| (g.position[d] - other.position[d]).abs()).fold(0f32, f32::max);
-                assert!(far < 0.5 * size(&other), "{far} {other:?}");
-            }
-        }
-    }
-
-    /// Of a linear function of what a state shows, by all quantisation errors together: what it changes where
-    /// every decoded Gaussian moves along its error.
-    #[test]
-    fn slopes_by_steps_are_differences_along_quantisation_errors() {
-        let (scene, _) = study(3, 1);
-        let coarse =
-            encode::EncodeOptions { quality: encode::QuantiserSteps::default().scaled(6.0), ..options() };
-        let coded = Coded::first(&scene, &coarse).unwrap();
-        let mut parameters = no_change(&scene);
-        for (i, values) in parameters.all_mut().enumerate() {
-            *values = std::array::from_fn(|c| 0.1 * (((i * 31 + c * 17) % 19) as f32 / 9.0 - 1.0));
-        }
-        let coded = Coded::rewrite(&scene, &parameters, &coded.encoded.decisions).unwrap();
-        let moving = coded.moving(&scene, &parameters);
-        let (complete, frame) = (coded.received.content().blocks.to_vec(), 2);
-        let shown = moving.shown(&mut coded.player(), &complete, frame).unwrap();
-        let by = |i: usize| SplatGradient {
-            position: [0.3, -0.7, 0.2].map(|v| v + 0.01 * (i % 7) as f32),
-            log_scale: [0.5, -0.1, 0.9],
-            opacity_logit: 0.35,
-            sh0: [0.1, -0.2, 0.3 + 0.02 * (i % 5) as f32],
-            ..Default::default()
-        };
-        let slopes: Vec<SplatGradient> = (0..shown.gaussians.len()).map(by).collect();
-        let rows = steps::rows(&coded.encoded.decisions);
-        let mut gradient = Gradient::zeros(parameters.count(), rows);
-        moving.pull(&shown, &slopes, (&complete, frame), &mut gradient);
-
-        let source = parameters.applied(&scene).unwrap().instant(frame as usize).unwrap();
-        let mut along = 0.0;
-        moving.each(&complete, frame, |(_, decoded), parameter, follows| {
-            let (g, by) = (&shown.gaussians[decoded], &slopes[decoded]);
-            let Follows::Source(anchor, axes) = follows else { panic!("{follows:?}") };
-            let error = anchor.error(&source.gaussians[parameter], g, axes);
-            let at = |h: f32| linear(&follows.moved(g, &error.map(|e| h * e)), by);
-            along += (at(0.05) - at(-0.05)) / 0.1;
-        });
-        let found: f64 = gradient.steps.as_flattened().iter().sum();
-        assert!(along.abs() > 0.01, "{along}");
-        assert!((found / along - 1.0).abs() < 0.02, "{found} {along}");
-        // Missing motion is no error of quantisation.
-        let mut missing = complete;
-        for mask in moving.blocks(frame).iter().filter_map(|block| moving.masks(block, frame).1) {
-            missing[mask] = 0;
-        }
-        let shown = moving.shown(&mut coded.player(), &missing, frame).unwrap();
-        let mut gradient = Gradient::zeros(parameters.count(), rows);
-        moving.pull(&shown, &slopes, (&missing, frame), &mut gradient);
-        assert_eq!(gradient.steps.as_flattened().iter().sum::<f64>(), 0.0);
-    }
-
-    /// A change that is encoded is the change that was only moved, within the quantisers' steps.
-    #[test]
-    fn drift_is_what_the_next_encoding_shows() {
-        let (scene, _) = study(3, 1);
-        let first = Coded::first(&scene, &options()).unwrap();
-        let mut parameters = no_change(&scene);
-        for (i, values) in parameters.all_mut().enumerate() {
-            *values = std::array::from_fn(|c| 0.3 * (((i * 31 + c * 17) % 19) as f32 / 9.0 - 1.0));
-        }
-        let rewritten = Coded::rewrite(&scene, &parameters, &first.encoded.decisions).unwrap();
-        assert_eq!(rewritten.encoded.order, first.encoded.order);
-        let complete = first.received.content().blocks.to_vec();
-        let show = |coded: &Coded, parameters: &Parameters| {
-            coded.moving(&scene, parameters).shown(&mut coded.player(), &complete, 1).unwrap()
-        };
-        let (encoded, drifted) = (show(&rewritten, &parameters), show(&first, &parameters));
-        let still = show(&first, &no_change(&scene));
-        let distance = |a: &Shown, b: &Shown| -> f64 {
-            let pairs = a.gaussians.iter().zip(&b.gaussians);
-            pairs
-                .map(|(a, b)| {
-                    let colour = (0..3).map(|d| f64::from((a.sh0[d] - b.sh0[d]).powi(2))).sum::<f64>();
-                    colour + f64::from((a.opacity - b.opacity).powi(2))
-                })
-                .sum()
-        };
-        let (near, far) = (distance(&encoded, &drifted), distance(&encoded, &still));
-        assert!(near < 0.02 * far, "{near} {far}");
-    }
-}
+mod tests;

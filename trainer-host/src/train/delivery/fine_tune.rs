@@ -177,7 +177,8 @@ pub fn resume(
             &rates(&options.learning_rates, 0.1f64.powf(share)),
         );
         at.updates = update + 1;
-        if progress(&heard, &at).is_break() {
+        // After the last update nothing is left to stop but the validation of what it led to.
+        if progress(&heard, &at).is_break() && at.updates < options.updates {
             break;
         }
     }

@@ -10,7 +10,10 @@ use render_host::{
     metric,
 };
 
-use super::{coded::Moving, error::DeliveryError};
+use super::{
+    coded::{BlockVersion, Moving},
+    error::DeliveryError,
+};
 
 /// Worlds whose pictures exist at once.
 const AT_ONCE: usize = 8;
@@ -25,10 +28,10 @@ pub(super) struct SharedWorlds {
     states: States,
 }
 
-/// What a block shows for each pair of masks.
+/// What a block shows in each version.
 #[derive(Default)]
 struct Versions {
-    known: BTreeMap<(u8, u8), usize>,
+    known: BTreeMap<BlockVersion, usize>,
     gaussians: Vec<Vec<Gaussian>>,
     sh_rest: Vec<Vec<f32>>,
 }
@@ -40,15 +43,14 @@ impl SharedWorlds {
     /// A frame that does not decode.
     pub(super) fn new(moving: &Moving<'_>, frame: u32, states: &[Vec<u8>]) -> Result<Self, DeliveryError> {
         let blocks = moving.blocks(frame);
-        let masks: Vec<_> = blocks.iter().map(|block| moving.masks(block, frame)).collect();
         let mut versions: Vec<Versions> = blocks.iter().map(|_| Versions::default()).collect();
         let mut player = moving.coded().player();
         let mut degree = ShDegree::ZERO;
         // Per state, the version of each block.
         let mut chosen: Vec<Vec<usize>> = Vec::with_capacity(states.len());
         for state in states {
-            let key = |&(own, motion): &(usize, Option<usize>)| (state[own], motion.map_or(0, |m| state[m]));
-            let keys: Vec<(u8, u8)> = masks.iter().map(key).collect();
+            let keys: Vec<BlockVersion> =
+                blocks.iter().map(|block| moving.version(block, frame, state)).collect();
             if versions.iter().zip(&keys).any(|(versions, key)| !versions.known.contains_key(key)) {
                 let shown = moving.shown(&mut player, state, frame)?;
                 degree = shown.degree;
@@ -59,7 +61,7 @@ impl SharedWorlds {
                     versions.learn(key, &shown.gaussians[range], bands);
                 }
             }
-            let version = |(versions, key): (&Versions, &(u8, u8))| versions.known.get(key).copied();
+            let version = |(versions, key): (&Versions, &BlockVersion)| versions.known.get(key).copied();
             chosen.push(versions.iter().zip(&keys).map(|pair| version(pair).unwrap_or(0)).collect());
         }
         let mut out = Self {
@@ -142,7 +144,7 @@ impl SharedWorlds {
 }
 
 impl Versions {
-    fn learn(&mut self, key: (u8, u8), gaussians: &[Gaussian], bands: &[f32]) {
+    fn learn(&mut self, key: BlockVersion, gaussians: &[Gaussian], bands: &[f32]) {
         let next = self.gaussians.len();
         if let std::collections::btree_map::Entry::Vacant(entry) = self.known.entry(key) {
             entry.insert(next);
@@ -176,13 +178,16 @@ mod tests {
         },
     };
 
-    /// For both profiles, with and without parameters that have moved on.
+    /// For both profiles, in one window and in several, with and without parameters that have moved on.
     #[test]
     fn pictures_of_worlds_together_are_those_of_each_alone() {
         let (scene, references) = study(3, 1);
         let small =
             encode::EncodeOptions { packet_bytes: 300, block_len: 16, pictures: 0, ..Default::default() };
-        for options in [small, encode::EncodeOptions::paper()] {
+        let windows = encode::EncodeOptions { window_frames: Some(1), ..small.clone() };
+        let paper = encode::EncodeOptions { window_frames: Some(1), ..encode::EncodeOptions::paper() };
+        for options in [small, windows, paper.clone(), encode::EncodeOptions { window_frames: None, ..paper }]
+        {
             let coded = Coded::first(&scene, &options).unwrap();
             let loss = LossModel::Iid { probability: 0.2 };
             let masks = Masks::draw(&coded.encoded.stream, loss, LossUnit::Packet, 11, 5).unwrap();
@@ -190,8 +195,8 @@ mod tests {
                 let mut parameters = no_change(&scene);
                 parameters.all_mut().for_each(|values| values.fill(change));
                 let moving = coded.moving(&scene, &parameters);
-                let (frame, settings) = (1, Settings::default());
-                let (camera, reference) = (&references[1].camera, &references[1].picture);
+                let (frame, settings) = (2, Settings::default());
+                let (camera, reference) = (&references[2].camera, &references[2].picture);
                 let worlds = SharedWorlds::new(&moving, frame, &masks.states).unwrap();
                 let images = worlds.measured(camera, &settings, |image| Ok(image.clone())).unwrap();
                 let errors = worlds.squared_errors(camera, reference, &settings).unwrap();

@@ -54,13 +54,13 @@ impl Neighbourhoods {
             || self.0.len() == points && self.0.iter().flatten().all(|&number| (number as usize) < MOST)
     }
 
-    /// Gives `each` the index of every point that moves and what the affine map of its neighbourhood, of
-    /// least squares, leaves of where it is: `moved` less the map of `rest`, scene units.
+    /// Gives `each` the index of every point that moves, what the affine map of its neighbourhood, of least
+    /// squares, leaves of where it is (`moved` less the map of `rest`, scene units), and that map's matrix.
     pub(crate) fn each_residual(
         &self,
         rest: &[[f32; 3]],
         moved: impl Fn(usize) -> [f32; 3],
-        mut each: impl FnMut(usize, DVec3),
+        mut each: impl FnMut(usize, DVec3, DMat3),
     ) {
         let vector = |p: [f32; 3]| DVec3::from_array(p.map(f64::from));
         let points = || {
@@ -92,7 +92,8 @@ impl Neighbourhoods {
             (of_both + ridge) * (of_rest + ridge).inverse()
         });
         for (index, number, p, x) in points() {
-            each(index, x - means[number].1 - maps[number] * (p - means[number].0));
+            let map = maps[number];
+            each(index, x - means[number].1 - map * (p - means[number].0), map);
         }
     }
 }
@@ -108,10 +109,12 @@ fn price(residual: DVec3, unit: f64) -> f64 {
     0.5 * (residual.length_squared() / (STEP * unit).powi(2)).ln_1p()
 }
 
-/// How what a residual costs, `ln(1 + |r|² / step²) / 2`, rises with it, per scene unit, in a scene whose
-/// extent is `unit` scene units. The map of its neighbourhood counts as given.
-pub(crate) fn slope(residual: DVec3, unit: f64) -> DVec3 {
-    residual / ((STEP * unit).powi(2) + residual.length_squared())
+/// How what a residual costs, `ln(1 + |r|² / step²) / 2`, rises with where its point is moved to, and with
+/// where it rests, per scene unit, in a scene whose extent is `unit` scene units. The map of its
+/// neighbourhood, whose matrix is `map`, counts as given.
+pub(crate) fn slopes(residual: DVec3, map: DMat3, unit: f64) -> [DVec3; 2] {
+    let of_moved = residual / ((STEP * unit).powi(2) + residual.length_squared());
+    [of_moved, -(map.transpose() * of_moved)]
 }
 
 #[cfg(test)]
@@ -130,7 +133,7 @@ mod tests {
 
     fn residuals(found: &Neighbourhoods, rest: &[[f32; 3]], moved: &[[f32; 3]]) -> Vec<(usize, DVec3)> {
         let mut out = Vec::new();
-        found.each_residual(rest, |index| moved[index], |index, residual| out.push((index, residual)));
+        found.each_residual(rest, |index| moved[index], |index, residual, _| out.push((index, residual)));
         out
     }
 
@@ -207,9 +210,42 @@ mod tests {
             for axis in DVec3::AXES {
                 let at = |change: f64| price(residual + change * size * axis, 1.3);
                 let expected = (at(1e-4) - at(-1e-4)) / (2e-4 * size);
-                let found = slope(residual, 1.3).dot(axis);
+                let found = slopes(residual, DMat3::IDENTITY, 1.3)[0].dot(axis);
                 assert!((found - expected).abs() < 1e-6 * expected.abs(), "{found} {expected}");
             }
         }
+    }
+
+    /// Where motion is affine but for a little, a point that rests elsewhere is moved elsewhere, and costs what
+    /// it did.
+    #[test]
+    fn a_point_that_rests_elsewhere_costs_what_its_motion_leaves() {
+        let points = cloud(900);
+        let found = neighbourhoods(&points);
+        let sheared = |[x, y, z]: [f32; 3]| [0.3 + x + 0.4 * y, 0.8 * y - 0.2 * z, z - 0.1 * x];
+        let bent = |p: [f32; 3]| {
+            let [x, y, z] = sheared(p);
+            [x, y + 0.01 * (3.0 * p[0]).sin(), z]
+        };
+        let to = moved(&points, bent);
+        let (mut along, mut without) = (0.0f64, 0.0f64);
+        let each = |index: usize, residual: DVec3, map: DMat3| {
+            let [of_moved, of_rest] = slopes(residual, map, 1.0);
+            for axis in DVec3::AXES {
+                let shifted = |by: f64| {
+                    let p = DVec3::from_array(points[index].map(f64::from)) + by * axis;
+                    DVec3::from_array(bent(p.as_vec3().to_array()).map(f64::from))
+                };
+                let turned = (shifted(1e-2) - shifted(-1e-2)) / 2e-2;
+                let at = |by: f64| price(residual + by * (turned - map * axis), 1.0);
+                let expected = (at(1e-6) - at(-1e-6)) / 2e-6;
+                let slope = of_moved.dot(turned) + of_rest.dot(axis);
+                assert!((slope - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{slope} {expected}");
+                along += slope.abs();
+                without += of_moved.dot(turned).abs();
+            }
+        };
+        found.each_residual(&points, |index| to[index], each);
+        assert!(along < 0.3 * without, "{along} {without}");
     }
 }

@@ -112,7 +112,8 @@ fn shares_between_bands_that_leave_one_out_are_refused_by_name() {
         assert_eq!(refused(&banded(every)), expected);
     }
     let finish = Finish { round_from: 0.4, ..Finish::default() };
-    let late = TrainOptions { finish, ..banded(0.25) };
+    let mut late = TrainOptions { finish, ..banded(0.25) };
+    late.schedule.density_end = 0.3;
     let expected = "schedule.harmonics_every is 0.25; 0 to 0.2 (finish.round_from / sh_degree) is allowed";
     assert_eq!(refused(&late), expected);
     assert_eq!(TrainOptions { sh_degree: 1, ..late }.validate(), Ok(()));

@@ -18,7 +18,7 @@ fn residual(trainer: &Trainer) -> f64 {
         model.instant_into(time, &mut instant);
         let (mut sum, mut count) = (0.0, 0.0f64);
         let moved = |index: usize| instant.gaussians[index].position;
-        neighbourhoods.each_residual(model.gaussians.positions(), moved, |_, residual| {
+        neighbourhoods.each_residual(model.gaussians.positions(), moved, |_, residual, _| {
             sum += residual.length();
             count += 1.0;
         });

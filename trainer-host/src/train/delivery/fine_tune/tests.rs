@@ -103,6 +103,11 @@ fn a_fine_tuning_that_is_broken_off_returns_what_exists() {
     let tuned = until_third(&options);
     assert_eq!((tuned.record.objective.len(), tuned.record.taken), (3, None));
     assert!(tuned.scene.epochs() != scene.epochs(), "three updates show");
+    // After its last update nothing is broken off: what that led to is a candidate.
+    let third = DeliveryOptions { updates: 3, ..self::options(Variant::Iid) };
+    let whole = fine_tune(&scene, &references, &third, &Backend::Cpu, &|_| Continue(())).unwrap();
+    assert_eq!(until_third(&third).record, whole.record);
+    assert_eq!(whole.record.candidates.last().map(|candidate| candidate.updates), Some(3));
 }
 
 #[test]
