@@ -331,8 +331,8 @@ pub(super) fn outcome(record: &Record, options: &DeliveryOptions, choice: Option
         return text;
     }
     text += &format!(
-        "  taken after update {}: with lost packets, 0.10 quantile {:.2} → {:.2} dB; with all of them {:.2} → \
-         {:.2} dB; {} → {} bytes on the wire\n",
+        "  taken after update {}: with lost packets, 0.10 quantile {:.2} → {:.2} dB; with all of \
+         them {:.2} → {:.2} dB; {} → {} bytes on the wire\n",
         taken.updates,
         before.p10_db,
         taken.p10_db,

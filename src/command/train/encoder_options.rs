@@ -80,8 +80,8 @@ impl EncoderOptions {
             let [found, before] =
                 [frames(&self), frames(&before)].map(|v| v.unwrap_or_else(|| NONE.to_owned()));
             bail!(
-                "--frames is {found}; {before}, as before, is allowed: the training has rounded its values for \
-                 so many frames"
+                "--frames is {found}; {before}, as before, is allowed: the training has rounded its values \
+                 for so many frames"
             );
         }
         let stays = |change: &String| has_rounded && ROUNDED_BY.iter().any(|name| change.starts_with(name));

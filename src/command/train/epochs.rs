@@ -39,7 +39,7 @@ pub(super) struct Plan {
     steps: u32,
     /// Minutes of all of them together, if a time was given.
     minutes: Option<f64>,
-    frames_per_second: f64,
+    frames_per_second: Option<f64>,
     /// Options of all of them together, but for what follows from how steps are typed.
     options: TrainOptions,
 }
@@ -110,7 +110,7 @@ impl Plan {
             parts: found,
             steps: args.steps.unwrap_or(DEFAULT_STEPS),
             minutes: args.minutes,
-            frames_per_second: input.frames_per_second(args, None),
+            frames_per_second: Some(input.frames_per_second(args, None)),
             options: TrainOptions {
                 finish: Finish { target_bytes: options.finish.target_bytes, ..options_of_file(args)?.finish },
                 ..options
@@ -158,7 +158,7 @@ impl Plan {
         quiet: Quiet,
     ) -> Result<Option<(Trained, Log, Ended)>> {
         let dataset = &input.dataset;
-        let rate = input.frames_per_second(args, Some(self.frames_per_second));
+        let rate = input.frames_per_second(args, self.frames_per_second);
         let backend = render_host::Backend::open(args.device.into()).context("--device")?;
         let mut whole: Option<(Trained, Log)> = None;
         let (typed, mut is_complete) = (args, true);
@@ -212,8 +212,8 @@ impl Plan {
         Train { minutes: minutes.or(args.minutes), ..args }
     }
 
-    /// Bytes that all parts together are to have at most: what was typed now, or else at the start; 0: whatever
-    /// they lead to.
+    /// Bytes that all parts together are to have at most: what was typed now, or else at the start; 0:
+    /// whatever they lead to.
     pub(super) fn target_bytes(&self, args: &Train) -> u64 {
         args.codec.target_bytes.unwrap_or(self.options.finish.target_bytes)
     }

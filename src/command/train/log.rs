@@ -145,8 +145,8 @@ impl Log {
         self.samples.last().map_or(0.0, |sample| sample.seconds)
     }
 
-    /// The highest PSNR and the last one, dB, where the training, or that of an epoch, has clearly lost what it
-    /// had.
+    /// The highest PSNR and the last one, dB, where the training, or that of an epoch, has clearly lost what
+    /// it had.
     pub(super) fn fall(&self) -> Option<(f64, f64)> {
         let ends = self.epochs.iter().copied().chain([self.samples.len()]);
         let mut start = 0;

@@ -43,8 +43,8 @@ struct Typed {
         value_parser = clap::value_parser!(u16).range(1..=128)
     )]
     perceptual_states: u16,
-    /// Of `workloads` and `erasure`, which take hours, only streams, or scenes and their parity, whose names hold
-    /// this, for example cloth, sheet or bouncingballs.full.
+    /// Of `workloads` and `erasure`, which take hours, only streams, or scenes and their parity, whose names
+    /// hold this, for example cloth, sheet or bouncingballs.full.
     #[arg(long, value_name = "NAME")]
     only: Option<String>,
     /// Print figures as JSON on standard output, and nothing else there.

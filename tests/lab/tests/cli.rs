@@ -38,7 +38,9 @@ fn a_part_is_chosen_of_benches_that_have_parts() {
     };
     assert!(says(&["rate", "--only", "fox"]).contains("for workloads and erasure; rate is run as a whole"));
     let unknown = says(&["erasure", "--quick", "--only", "balls"]);
-    assert!(unknown.contains("\"balls\"; part of one of sheet.none, sheet.standard, sheet.strong, sheet.full is allowed with --quick"), "{unknown}");
+    let parts = "sheet.none, sheet.standard, sheet.strong, sheet.full";
+    let expected = format!("\"balls\"; part of one of {parts} is allowed with --quick");
+    assert!(unknown.contains(&expected), "{unknown}");
 }
 
 #[test]

@@ -23,8 +23,8 @@ pub struct Evaluation {
     pub size: (u32, u32),
     /// Background of both.
     pub background: [f32; 3],
-    /// Mean over views of each view's PSNR, dB, at most 100; of a photograph with a mask over pixels that count: those of
-    /// a smaller picture that cover only such pixels.
+    /// Mean over views of each view's PSNR, dB, at most 100; of a photograph with a mask over pixels that
+    /// count: those of a smaller picture that cover only such pixels.
     pub psnr_db: f64,
     /// Mean over views of the PSNR over pixels whose alpha is at least a half, dB.
     pub foreground_psnr_db: f64,

@@ -189,8 +189,9 @@ mod tests {
         for options in [small, windows, paper.clone(), encode::EncodeOptions { window_frames: None, ..paper }]
         {
             let coded = Coded::first(&scene, &options).unwrap();
-            let loss = LossModel::Iid { probability: 0.2 };
-            let masks = Masks::draw(&coded.encoded.stream, loss, LossUnit::Packet, 11, 5).unwrap();
+            // So much that states share what arrived in a window, and not what arrived before it.
+            let loss = LossModel::Iid { probability: 0.5 };
+            let masks = Masks::draw(&coded.encoded.stream, loss, LossUnit::Packet, 40, 5).unwrap();
             for change in [0.0, 0.1] {
                 let mut parameters = no_change(&scene);
                 parameters.all_mut().for_each(|values| values.fill(change));
@@ -200,7 +201,7 @@ mod tests {
                 let worlds = SharedWorlds::new(&moving, frame, &masks.states).unwrap();
                 let images = worlds.measured(camera, &settings, |image| Ok(image.clone())).unwrap();
                 let errors = worlds.squared_errors(camera, reference, &settings).unwrap();
-                assert_eq!(images.len(), 11);
+                assert_eq!(images.len(), 40);
                 let mut player = coded.player();
                 for ((state, image), error) in masks.states.iter().zip(&images).zip(errors) {
                     let shown = moving.shown(&mut player, state, frame).unwrap();

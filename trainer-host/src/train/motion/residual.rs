@@ -216,8 +216,8 @@ mod tests {
         }
     }
 
-    /// Where motion is affine but for a little, a point that rests elsewhere is moved elsewhere, and costs what
-    /// it did.
+    /// Where motion is affine but for a little, a point that rests elsewhere is moved elsewhere, and costs
+    /// what it did.
     #[test]
     fn a_point_that_rests_elsewhere_costs_what_its_motion_leaves() {
         let points = cloud(900);

@@ -1,7 +1,7 @@
 //! Finds what the look of a block depends on, and which window's track poses its cluster.
 //!
 //! A cluster whose track has not arrived keeps the last pose of the latest earlier window of the epoch whose
-//! track has, and its canonical pose without any (SPEC.md, "Decoding").
+//! track has, and its canonical pose without any (SPEC.md 9.4).
 
 use codec_core::internals::{
     closure::Arrived,
