@@ -262,3 +262,51 @@ impl Plan {
         args
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+
+    #[derive(Debug, clap::Parser)]
+    struct Typed {
+        #[command(flatten)]
+        train: Train,
+    }
+
+    /// A clip of 30 frames in two epochs, of which the first, of 10, is asked for this by `typed`.
+    fn first_part(plan: &Plan, typed: &str) -> Train {
+        let typed = Typed::try_parse_from(["train", "scene"].into_iter().chain(typed.split_whitespace()));
+        plan.args_of(&typed.unwrap().train, Path::new("out/epoch-0"), 10, 30)
+    }
+
+    #[test]
+    fn a_part_has_its_share_of_what_was_asked_for_at_the_start_or_is_now() {
+        let finish = Finish { target_bytes: 900, ..Finish::default() };
+        let mut plan = Plan {
+            parts: Parts { frames: vec![0..10, 10..30], trials: Vec::new() },
+            steps: 3000,
+            minutes: None,
+            frames_per_second: None,
+            options: TrainOptions { max_gaussians: 600, finish, ..TrainOptions::default() },
+        };
+        let args = first_part(&plan, "");
+        assert_eq!((args.gaussians, args.steps, args.minutes), (Some(200), Some(1000), None));
+        assert_eq!(args.codec.target_bytes, Some(300));
+        assert_eq!(first_part(&plan, "--target-bytes 600").codec.target_bytes, Some(200));
+        let args = first_part(&plan, "--minutes 6");
+        assert_eq!((args.steps, args.minutes), (None, Some(2.0)));
+        // Begun with a time: what begins now has its share of it, what had begun what is left.
+        plan.minutes = Some(3.0);
+        let args = first_part(&plan, "");
+        assert_eq!((args.steps, args.minutes), (None, None));
+        assert_eq!(plan.timed(args.clone(), 0.0, 1.0 / 3.0).minutes, Some(1.0));
+        assert_eq!(plan.timed(args, 0.5, 1.0 / 3.0).minutes, None);
+        let args = first_part(&plan, "--steps 60");
+        assert_eq!(args.steps, Some(20));
+        assert_eq!(plan.timed(args, 0.0, 1.0 / 3.0).minutes, None);
+        plan.options.finish.target_bytes = 0;
+        assert_eq!(first_part(&plan, "").codec.target_bytes, None);
+    }
+}
