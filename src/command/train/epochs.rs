@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_has_its_share_of_what_was_asked_for_at_the_start_or_is_now() {
+    fn a_part_has_its_share_of_size_and_length() {
         let finish = Finish { target_bytes: 900, ..Finish::default() };
         let mut plan = Plan {
             parts: Parts { frames: vec![0..10, 10..30], trials: Vec::new() },
