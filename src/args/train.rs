@@ -50,7 +50,7 @@ pub struct Train {
     /// and others are refused. --delivery, which goes on from delivery.dgst, and options of the encoder and
     /// of a scene's renders (--cameras, --side) are typed as before; where the encoder has others, scene.dgs
     /// is written with them, and a note names them; those that the training has rounded its values by stay.
-    /// --frames stays once values are rounded (schedule finish.round_from).
+    /// --frames stays what it was once values are rounded (finish.round_from).
     /// A training that is complete can be fine-tuned: `dgs train DATASET -o DIR --resume --delivery mixed`.
     #[arg(long)]
     pub resume: bool,

@@ -105,9 +105,14 @@ fn train(
         (None, Some(plan)) => plan.target_bytes(args),
         (None, None) => options(args)?.finish.target_bytes,
     };
+    let begun_at = match (&resumed, &begun) {
+        (Some(checkpoint), _) => Some(checkpoint.frames_per_second),
+        (None, Some(plan)) => plan.frames_per_second,
+        (None, None) => None,
+    };
+    let rate = input.frames_per_second(args, begun_at);
     // A scene that is there is encoded before it is fine-tuned.
     if scene.is_none() || delivery.is_none() {
-        let rate = input.frames_per_second(args, resumed.as_ref().map(|c| c.frames_per_second));
         check_size(args, trained_for, (args.frames.unwrap_or(dataset.frames), rate))?;
     }
     let _opened = folder.open(args)?;
@@ -122,15 +127,15 @@ fn train(
     };
     let has_rounded = has_rounded && !steps_are_typed(args);
     let encoder = EncoderOptions::of(args, trained_for);
-    let (encoder, changes) = encoder.taken_up(&folder.encoder, args.resume, has_rounded)?;
+    let (encoder, changes) = encoder.taken_up(&folder.encoder, args.resume, has_rounded, dataset.frames)?;
     let with = (delivery.map(|options| (options, backend)), &encoder, network.as_ref());
     let plan = match scene {
-        Some(scene) => Plan::of(args, &folder, scene, input, &stop, quiet)?,
+        Some(scene) => Plan::of(args, &folder, scene, (dataset, rate), &stop, quiet)?,
         None => None,
     };
     let parted = plan.as_ref().filter(|plan| plan.is_parted());
     let mut output = if let (Some(plan), Some(scene)) = (parted, scene) {
-        let Some((trained, mut log, ended)) = plan.train(args, scene, input, &stop, quiet)? else {
+        let Some((trained, mut log, ended)) = plan.train(args, scene, (dataset, rate), &stop, quiet)? else {
             return Ok(left(args, plan));
         };
         files::write(&folder.log, log.csv().as_bytes())?;
@@ -144,7 +149,6 @@ fn train(
         if args.resume && resumed.is_none() {
             bail!("{}: no such checkpoint; train without --resume first", folder.checkpoint.display());
         }
-        let rate = input.frames_per_second(args, resumed.as_ref().map(|c| c.frames_per_second));
         let (mut trainer, begun) = begin((args, rate), &folder, resumed, &options(args)?, dataset, backend)?;
         check_length(args, trainer.steps(), begun)?;
         let mut log = if args.resume { Log::resumed(&folder.log, trainer.steps())? } else { Log::default() };
@@ -380,4 +384,16 @@ fn said(
         "notes": log.notes,
     });
     VerbOutput { text, json, warnings: log.notes.clone(), damaged: ended.interrupted }
+}
+
+/// What `dgs train` is asked for by these arguments.
+#[cfg(test)]
+fn parsed<'a>(args: impl IntoIterator<Item = &'a str>) -> Train {
+    #[derive(Debug, clap::Parser)]
+    struct Typed {
+        #[command(flatten)]
+        train: Train,
+    }
+    let all = ["train"].into_iter().chain(args);
+    <Typed as clap::Parser>::try_parse_from(all).unwrap_or_else(|error| panic!("{error}")).train
 }

@@ -40,7 +40,7 @@ fn frames_and_their_rate_stay_what_they_were() {
     trained(&[&["fast", "-o", "out", "--frames", "2"], &short[..]].concat());
     assert!(heard(&["inspect", "out/scene.dgs"]).contains("2 frames at 60 fps"));
     let error = trained(&["fast", "-o", "out", "--resume"]);
-    assert!(error.contains("--frames is none; 2, as before, is allowed"), "{error}");
+    assert!(error.contains("--frames is 3; 2, as before, is allowed"), "{error}");
     trained(&["fast", "-o", "out", "--resume", "--frames", "2", "--packet-bytes", "900"]);
     assert!(heard(&["inspect", "out/scene.dgs"]).contains("2 frames at 60 fps"));
 }

@@ -115,3 +115,34 @@ fn what_a_training_takes_and_what_its_objective_is_of_are_said() {
     assert_eq!(report["device"], tuned_on());
     assert_eq!(report["peak_memory_bytes"].as_u64().is_some_and(|bytes| bytes > 1 << 20), tells, "{report}");
 }
+
+/// Lists of a dataset may give one photograph two purposes, which a person hears.
+#[test]
+fn photographs_for_validation_that_are_for_testing_are_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    fs::write(at.join("a.png"), Image::filled(32, 32, [0.4, 0.5, 0.1]).unwrap().to_png().unwrap()).unwrap();
+    for name in ["b.png", "c.png"] {
+        fs::copy(at.join("a.png"), at.join(name)).unwrap();
+    }
+    let frame = |name: &str, z: u32| {
+        format!(
+            r#"{{"file_path": "{name}.png", "transform_matrix":
+            [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, {z}], [0, 0, 0, 1]]}}"#
+        )
+    };
+    let frames = [frame("a", 4), frame("b", 5), frame("c", 6)].join(",");
+    let heard = |validation: &str| {
+        let text = format!(
+            r#"{{"camera_angle_x": 0.7, "frames": [{frames}], "train_filenames": ["a.png"],
+            "val_filenames": ["{validation}.png"], "test_filenames": ["c.png"]}}"#
+        );
+        fs::write(at.join("transforms.json"), text).unwrap();
+        let args = ["train", ".", "-o", "out", "--overwrite", "--steps", "2", "--gaussians", "100"];
+        let output = dgs(at, &[&args[..], &["--pictures", "0", "--evaluations", "0"]].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert!(heard("c").contains("1 of 1 photographs for validation are also for testing"), "{}", heard("c"));
+    assert!(!heard("b").contains("also for testing"));
+}

@@ -60,27 +60,30 @@ impl EncoderOptions {
 
     /// Takes them up in a training: writes them to the file at `path` where it begins, and says where it goes
     /// on how they differ from those of that file. One that `has_rounded` keeps to what it rounded by; what
-    /// comes back are the options that apply.
+    /// comes back are the options that apply. Where no frames were typed they are those `of_source`.
     ///
     /// # Errors
-    /// As [`EncoderOptions::read`] and [`EncoderOptions::write`].
+    /// As [`EncoderOptions::read`] and [`EncoderOptions::write`]; other frames than values are rounded for.
     pub(super) fn taken_up(
         mut self,
         path: &Path,
         resumes: bool,
         has_rounded: bool,
+        of_source: usize,
     ) -> Result<(Self, Vec<String>)> {
         if !resumes {
             self.write(path)?;
             return Ok((self, Vec::new()));
         }
         let Some(before) = Self::read(path)? else { return Ok((self, Vec::new())) };
-        let frames = |options: &Self| options.0.get("--frames").cloned();
-        if has_rounded && frames(&self) != frames(&before) {
-            let [found, before] =
-                [frames(&self), frames(&before)].map(|v| v.unwrap_or_else(|| NONE.to_owned()));
+        let frames = |options: &Self| {
+            let typed = options.0.get("--frames").filter(|&value| value != NONE);
+            typed.cloned().unwrap_or_else(|| of_source.to_string())
+        };
+        let [found, was] = [&self, &before].map(frames);
+        if has_rounded && found != was {
             bail!(
-                "--frames is {found}; {before}, as before, is allowed: the training has rounded its values \
+                "--frames is {found}; {was}, as before, is allowed: the training has rounded its values \
                  for so many frames"
             );
         }
@@ -135,19 +138,10 @@ impl EncoderOptions {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser as _;
-
-    use super::*;
-
-    #[derive(Debug, clap::Parser)]
-    struct Typed {
-        #[command(flatten)]
-        train: Train,
-    }
+    use super::{super::parsed, *};
 
     fn of(args: &str, target_bytes: u64) -> EncoderOptions {
-        let typed = Typed::try_parse_from(["train", "scene"].into_iter().chain(args.split_whitespace()));
-        EncoderOptions::of(&typed.unwrap().train, target_bytes)
+        EncoderOptions::of(&parsed(["scene"].into_iter().chain(args.split_whitespace())), target_bytes)
     }
 
     #[test]

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use trainer_host::{
     Scene,
     train::{
-        Checkpoint, Finish, TrainOptions,
+        Checkpoint, Dataset, Finish, TrainOptions,
         dataset::rendered,
         epochs::{Parts, SplitOptions, part},
     },
@@ -18,7 +18,6 @@ use trainer_host::{
 
 use super::{
     folder::{Folder, epoch_folder},
-    input::Input,
     interruption::Interruption,
     log::Log,
     page::Ended,
@@ -39,7 +38,8 @@ pub(super) struct Plan {
     steps: u32,
     /// Minutes of all of them together, if a time was given.
     minutes: Option<f64>,
-    frames_per_second: Option<f64>,
+    /// Of the clip; of a plan of before it was kept, nothing.
+    pub(super) frames_per_second: Option<f64>,
     /// Options of all of them together, but for what follows from how steps are typed.
     options: TrainOptions,
 }
@@ -58,7 +58,8 @@ impl Plan {
         Ok(Some(serde_json::from_slice(&std::fs::read(path).with_context(failed)?).with_context(failed)?))
     }
 
-    /// The plan that the folder of `args` holds, or that trials lead to; nothing where nothing was tried.
+    /// The plan that the folder of `args` holds, or that trials lead to; nothing where nothing was tried. The
+    /// clip has so many frames per second.
     ///
     /// # Errors
     /// A trial that fails, a file that is no plan, or other options than those of the plan.
@@ -66,11 +67,10 @@ impl Plan {
         args: &Train,
         folder: &Folder,
         scene: &Scene,
-        input: &Input,
+        (dataset, rate): (&Dataset, f64),
         stop: &Interruption,
         quiet: Quiet,
     ) -> Result<Option<Self>> {
-        let dataset = &input.dataset;
         let path = &folder.epochs;
         if args.resume {
             let Some(plan) = Self::begun(folder)? else { return Ok(None) };
@@ -110,7 +110,7 @@ impl Plan {
             parts: found,
             steps: args.steps.unwrap_or(DEFAULT_STEPS),
             minutes: args.minutes,
-            frames_per_second: Some(input.frames_per_second(args, None)),
+            frames_per_second: Some(rate),
             options: TrainOptions {
                 finish: Finish { target_bytes: options.finish.target_bytes, ..options_of_file(args)?.finish },
                 ..options
@@ -153,12 +153,10 @@ impl Plan {
         &self,
         args: &Train,
         scene: &Scene,
-        input: &Input,
+        (dataset, rate): (&Dataset, f64),
         stop: &Interruption,
         quiet: Quiet,
     ) -> Result<Option<(Trained, Log, Ended)>> {
-        let dataset = &input.dataset;
-        let rate = input.frames_per_second(args, self.frames_per_second);
         let backend = render_host::Backend::open(args.device.into()).context("--device")?;
         let mut whole: Option<(Trained, Log)> = None;
         let (typed, mut is_complete) = (args, true);
@@ -265,20 +263,16 @@ impl Plan {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser as _;
-
-    use super::*;
-
-    #[derive(Debug, clap::Parser)]
-    struct Typed {
-        #[command(flatten)]
-        train: Train,
-    }
+    use super::{super::parsed, *};
 
     /// A clip of 30 frames in two epochs, of which the first, of 10, is asked for this by `typed`.
     fn first_part(plan: &Plan, typed: &str) -> Train {
-        let typed = Typed::try_parse_from(["train", "scene"].into_iter().chain(typed.split_whitespace()));
-        plan.args_of(&typed.unwrap().train, Path::new("out/epoch-0"), 10, 30)
+        plan.args_of(
+            &parsed(["scene"].into_iter().chain(typed.split_whitespace())),
+            Path::new("out/epoch-0"),
+            10,
+            30,
+        )
     }
 
     #[test]

@@ -187,20 +187,11 @@ fn is_of_training(file: &Path) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser as _;
-
-    use super::*;
-
-    #[derive(Debug, clap::Parser)]
-    struct Typed {
-        #[command(flatten)]
-        train: Train,
-    }
+    use super::{super::parsed, *};
 
     fn opened(out: &Path, typed: &[&str]) -> Result<()> {
         let out_text = out.display().to_string();
-        let all = ["train", "synth:balls", "-o", &out_text].into_iter().chain(typed.iter().copied());
-        let args = Typed::try_parse_from(all).unwrap().train;
+        let args = parsed(["synth:balls", "-o", &out_text].into_iter().chain(typed.iter().copied()));
         Folder::of(out).open(&args).map(drop)
     }
 
@@ -234,7 +225,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("new");
         let out_text = out.display().to_string();
-        let args = Typed::try_parse_from(["train", "synth:balls", "-o", &out_text]).unwrap().train;
+        let args = parsed(["synth:balls", "-o", &out_text]);
         let left = |file: &str| {
             let opened = Folder::of(&out).open(&args).unwrap();
             std::fs::write(out.join(file), "{}").unwrap();

@@ -1,6 +1,6 @@
 //! Reads what a training learns from, and says what a person should know of it.
 
-use std::{collections::BTreeSet, path::Path};
+use std::path::Path;
 
 use anyhow::{Result, bail};
 use trainer_host::{
@@ -57,9 +57,7 @@ impl Input {
         let notes = harmonics_that_change(&args.input, &loaded.scene).into_iter().collect();
         Ok(Self { scene: Some(loaded.scene), dataset, damaged: loaded.damage.is_some(), notes })
     }
-}
 
-impl Input {
     /// Frames per second of what is trained: of a scene its own, else what was typed, what a training that
     /// goes on was `begun` with, or the default.
     pub(super) fn frames_per_second(&self, args: &Train, begun: Option<f64>) -> f64 {
@@ -124,10 +122,12 @@ fn photographs(args: &Train, (mut dataset, trimmed): (Dataset, Option<Trimmed>))
 /// That photographs are both for choosing quantiser steps and for testing, as the lists of a dataset may say.
 fn chosen_on_tests(args: &Train, dataset: &Dataset) -> Option<String> {
     // Different photographs may have one name.
-    let seen = |view: &PosedPhotograph| (view.name.clone(), format!("{:?} {:?}", view.time, view.camera));
-    let tests: BTreeSet<_> = dataset.test.photographs().iter().map(seen).collect();
+    let is_test = |view: &PosedPhotograph| {
+        let mut tests = dataset.test.photographs().iter();
+        tests.any(|test| (&test.name, test.time, &test.camera) == (&view.name, view.time, &view.camera))
+    };
     let validation = dataset.validation.photographs();
-    let both = validation.iter().filter(|view| tests.contains(&seen(view))).count();
+    let both = validation.iter().filter(|view| is_test(view)).count();
     (both > 0).then(|| {
         format!(
             "{}: {both} of {} photographs for validation are also for testing; quantiser steps are chosen on \

@@ -82,8 +82,8 @@ pub fn with_levels(
 
 /// Encodes `scene`, whose canonical values `decisions` were made for or which have changed a little since:
 /// motion, with steps `motion` times as long, and entropy tables are decided anew, packets as `options` say,
-/// and the rest stays, but for blocks whose symbols no longer fit a packet, for which all are halved until
-/// they do where no proxy was trained for them. Profile `paper` keeps all.
+/// and the rest stays. Where symbols of a block no longer fit a packet all blocks are halved until they do,
+/// unless proxies were trained for them. Profile `paper` keeps all.
 ///
 /// # Errors
 /// As [`write()`].

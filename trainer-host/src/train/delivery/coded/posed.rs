@@ -18,6 +18,7 @@ pub(in crate::train::delivery) struct BlockVersion {
     canonical: u8,
     /// And of its motion in the window of the frame.
     motion: u8,
+    /// Which window's track poses its cluster.
     posed_by: Option<WindowId>,
 }
 

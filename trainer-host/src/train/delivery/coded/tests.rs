@@ -119,7 +119,7 @@ fn drift_is_what_the_next_encoding_shows() {
     assert!(near < 0.02 * far, "{near} {far}");
 }
 
-/// So it is where tracks are missing, though a cluster then stands as it did before.
+/// Where tracks are missing a change is moved by the pose that is shown instead, as the next encoding shows.
 #[test]
 fn drift_follows_the_pose_that_is_shown() {
     let options =
