@@ -1,9 +1,11 @@
 //! Serves streams over QUIC, and a page over HTTP, until Ctrl-C: `dgs serve`.
 
+mod ports;
+
 use std::{
     collections::VecDeque,
     io,
-    net::{IpAddr, Ipv4Addr, Ipv6Addr, TcpListener, UdpSocket},
+    net::{IpAddr, Ipv4Addr, Ipv6Addr},
     path::Path,
     thread,
     time::Duration,
@@ -12,13 +14,14 @@ use std::{
 use anyhow::{Context, Result, bail};
 use dgs_quic::{
     CongestionControl,
-    http::{HttpConfig, HttpLimits, HttpReport, HttpServer, Site, SiteStream},
+    http::{HttpReport, HttpServer, Site, SiteStream},
     socket::{
         Identity, Locator, Scheme, ServedStream, Server, ServerConfig, ServerLimits, ServerReport,
         ViewerReport,
         message::{MAX_NAME_BYTES, StreamChoice},
     },
 };
+use ports::Ports;
 use serde_json::json;
 use tokio::sync::oneshot;
 
@@ -96,11 +99,7 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     let log = args.log.as_deref().map(LineLog::open).transpose()?;
     // Encoding may take minutes: what it would be in vain for is refused before.
     check_names(&args.inputs)?;
-    let socket = Server::open(args.listen)?;
-    let listen = socket.local_addr().context("--listen")?;
-    let http = HttpConfig { bind: args.http.unwrap_or(listen), limits: HttpLimits::default() };
-    let listener = (!args.no_http).then(|| HttpServer::open(http.bind)).transpose();
-    let listener = listener.context("--http takes another port, --no-http serves no page")?;
+    let ports = Ports::open(args, || Ok(Server::open(args.listen)?))?;
     let offers = offers(args, quiet, &mut warnings)?;
     let limits = ServerLimits {
         max_viewers: args.max_viewers,
@@ -121,7 +120,6 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     };
     // At once: serving may take days.
     warnings.iter().for_each(|warning| output::print_status(&format!("warning: {warning}")));
-    let ports = Ports { socket, page: listener.map(|listener| (listener, http)) };
     let served = runtime()?.block_on(serve((args, &host), ports, config, offers, log, quiet))?;
     let Served { urls, page, report, viewers, http } = served;
     let text = summary(&report, http.as_ref());
@@ -198,13 +196,6 @@ fn offers(args: &Serve, quiet: Quiet, warnings: &mut Vec<String>) -> Result<Vec<
         offers.push(ServedStream::new(&name(input), &ready.stream, ready.graph)?);
     }
     Ok(offers)
-}
-
-/// The ports, open before there is anything to serve on them.
-struct Ports {
-    socket: UdpSocket,
-    /// That of the page, if there is one.
-    page: Option<(TcpListener, HttpConfig)>,
 }
 
 /// What was served, and to whom.
@@ -386,6 +377,8 @@ fn summary(report: &ServerReport, http: Option<&HttpReport>) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::net::{TcpListener, UdpSocket};
+
     use clap::Parser as _;
 
     use super::*;

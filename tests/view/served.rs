@@ -157,6 +157,7 @@ impl Live {
         let (mut address, mut page) = (String::new(), String::new());
         said.read_line(&mut address).unwrap();
         said.read_line(&mut page).unwrap();
+        assert!(page.starts_with("http://"), "dgs serve has ended: {:?}, {address:?}", server.wait());
         Self { page: page.trim().to_owned(), server, said, _input: stdin, _folder: folder }
     }
 
