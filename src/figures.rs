@@ -43,6 +43,16 @@ pub fn frozen(freezes: u64, frames: u64) -> String {
     }
 }
 
+/// When playout started, `ms` milliseconds after the begin; `is_reached` says whether it did for enough was
+/// there, and not because the wait was over.
+pub(crate) fn startup(ms: Option<f64>, is_reached: bool) -> String {
+    match ms {
+        None => "never".to_owned(),
+        Some(ms) if is_reached => format!("{ms:.0} ms"),
+        Some(ms) => format!("not reached in {ms:.0} ms"),
+    }
+}
+
 /// A number with as many digits as it deserves.
 pub fn number(value: f64) -> String {
     match value.abs() {
@@ -78,6 +88,13 @@ pub(crate) fn audit_lines(levels: &[LevelAudit]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_wait_that_was_over_is_no_startup() {
+        assert_eq!(startup(None, false), "never");
+        assert_eq!(startup(Some(76.4), true), "76 ms");
+        assert_eq!(startup(Some(5005.2), false), "not reached in 5005 ms");
+    }
 
     #[test]
     fn peak_memory_grows_with_what_was_used_and_is_of_processes_that_are_there() {

@@ -9,6 +9,7 @@
 mod frames;
 mod leftovers;
 mod log;
+mod made_folder;
 
 use std::{
     fs,
@@ -24,6 +25,7 @@ use self::leftovers::Unfinished;
 pub(crate) use self::{
     leftovers::{Writer, remove_unfinished},
     log::LineLog,
+    made_folder::MadeFolder,
 };
 use crate::output;
 

@@ -146,6 +146,16 @@ impl PictureOutput {
         })
     }
 
+    /// Refuses a rate that it cannot say, of pictures that move.
+    fn check_rate(self, path: &Path, frames_per_second: f64) -> Result<()> {
+        let Self::Animation(format) = self else { return Ok(()) };
+        if frames_per_second < format.slowest() {
+            let (path, rates) = (path.display(), format.rates());
+            bail!("{path}: found {frames_per_second} frames per second; {rates} are allowed in this format");
+        }
+        Ok(())
+    }
+
     /// Whether it loses something that `PictureRun::quality` says how much of.
     pub fn is_lossy(self) -> bool {
         matches!(self, Self::Still(StillFormat::Jpeg) | Self::Video(_))
@@ -207,8 +217,9 @@ impl<'a> PictureWriter<'a> {
     /// Begins `path`.
     ///
     /// # Errors
-    /// A name that cannot be written.
+    /// A name that cannot be written, or a rate that the format cannot hold.
     pub fn begin(path: &'a Path, output: PictureOutput, run: PictureRun) -> Result<Self> {
+        output.check_rate(path, run.frames_per_second)?;
         let sink = match output {
             PictureOutput::Still(format) => Sink::Still(format),
             PictureOutput::Folder => Sink::Folder(FrameFolder::create(path, run.overwrite)?),
@@ -357,6 +368,21 @@ mod tests {
             gif.rounded_rate(60.0).unwrap().contains("1 or 2 of them") && gif.rounded_rate(25.0).is_none()
         );
         assert!(PictureOutput::Animation(AnimationFormat::Apng).rounded_rate(30.0).is_none());
+    }
+
+    /// Before any picture is rendered.
+    #[test]
+    fn a_rate_that_a_gif_cannot_hold_is_refused_as_it_begins() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.gif");
+        let begin = |format, frames_per_second| {
+            let run = PictureRun { pictures: 2, frames_per_second, quality: None, overwrite: false };
+            PictureWriter::begin(&path, PictureOutput::Animation(format), run).map(drop)
+        };
+        let error = begin(AnimationFormat::Gif, 0.001).unwrap_err().to_string();
+        assert!(error.contains("a.gif: found 0.001 frames per second; 0.001526 to 10000 are"), "{error}");
+        begin(AnimationFormat::Gif, 0.0016).unwrap();
+        begin(AnimationFormat::Apng, 0.001).unwrap();
     }
 
     #[test]

@@ -16,7 +16,7 @@ mod watching;
 
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use codec_core::internals::wire::manifest::Profile;
 use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig, policy};
 use render_host::{Camera, Settings};
@@ -38,7 +38,7 @@ pub(crate) use self::{
     frames::{LeftOut, note_of},
     impair::{LIGHT_LOADS, impairment, light_load},
     limit::{Lost, freezes},
-    link::{impaired_link, rate_words},
+    link::{impaired_link, rate_words, typed_link},
     piped::bytes as input_bytes,
     recording::{read_delays, read_recording},
 };
@@ -113,7 +113,7 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         bail!("{input}: is no file, folder or stream; scenes are read from files and folders");
     }
     if !piped::is_piped(path) && !path.exists() {
-        bail!("{input}: no such file or folder (built-in scenes are named synth:figure and the like)");
+        return Err(no_such(input));
     }
     if is_stream(input) {
         let trained = path.with_file_name("checkpoint.dgst");
@@ -151,6 +151,28 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
     scene.notes.extend(unused_in_format(path, args));
     let name = path.file_name().map_or_else(|| input.to_owned(), |n| n.to_string_lossy().into_owned());
     Ok(Loaded { name, scene, damage })
+}
+
+/// Refuses a scene or a stream that is not there: asked before the work on those typed before it.
+///
+/// # Errors
+/// No such file, folder or built-in scene.
+pub(crate) fn check_input(input: &str, args: &SceneArgs) -> Result<()> {
+    if let Some(text) = input.strip_prefix("synth:") {
+        return synth_options(text, args).map(drop);
+    }
+    let path = Path::new(input);
+    match std::fs::metadata(path) {
+        Err(_) if piped::is_piped(path) => Ok(()),
+        Err(error) if is_stream(input) => Err(error).with_context(|| format!("{input}: cannot read")),
+        Err(_) => Err(no_such(input)),
+        Ok(_) => Ok(()),
+    }
+}
+
+/// That there is no `input`.
+fn no_such(input: &str) -> anyhow::Error {
+    anyhow!("{input}: no such file or folder (built-in scenes are named synth:figure and the like)")
 }
 
 /// What a person should know who typed options of other formats than that of the scene at `path`.

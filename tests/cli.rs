@@ -3,6 +3,9 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
 #[cfg(unix)]
+#[path = "cli/inputs.rs"]
+mod inputs;
+#[cfg(unix)]
 #[path = "cli/logged.rs"]
 mod logged;
 #[path = "cli/never_drawn.rs"]
@@ -96,6 +99,15 @@ fn the_demo_writes_its_report_and_names_it_last() {
     assert!(!html.contains("http://") && !html.contains("https://"), "the page must not load anything");
     let error = refused(at, &args);
     assert!(error.contains("report.html: is there already") && error.contains("--overwrite"), "{error}");
+    // Utilities that an earlier run has measured are in nobody's way; a folder that nothing came into is.
+    std::fs::create_dir(at.join("again")).unwrap();
+    std::fs::copy(at.join("dgs-demo/utility.json"), at.join("again/utility.json")).unwrap();
+    for (out, more) in [("again", ["--trace", "nofile"]), ("none/new", ["--trace", "nofile"])] {
+        let error = refused(at, &[&args[..], &["--out", out], &more].concat());
+        assert!(error.contains("nofile: "), "{error}");
+    }
+    assert!(refused(at, &["demo", "--scene", "nofile.ply", "--out", "new"]).contains("nofile.ply: no such"));
+    assert_eq!(run::names(at), ["again", "dgs-demo"]);
     let json = std::fs::read_to_string(at.join("dgs-demo/report.json")).unwrap();
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     let runs = json["runs"].as_array().unwrap();
@@ -276,55 +288,6 @@ fn bench_runs_the_laboratory_beside_it() {
     assert_eq!(output.status.code(), Some(7));
     assert_eq!(String::from_utf8_lossy(&output.stdout), "--quick --json --data d --out o -- rate\n");
     assert_eq!(String::from_utf8_lossy(&bench(&["bench", "--list"]).stdout), "--list\n");
-}
-
-/// A stream is served while it is written: who is there from the start sees all of it, who comes late the
-/// newest window.
-#[cfg(unix)]
-#[test]
-fn standard_input_is_served_while_it_is_written() {
-    use std::io::{BufRead, BufReader, Write};
-
-    let folder = tempfile::tempdir().unwrap();
-    let at = folder.path();
-    ok(at, &["encode", "synth:figure:1000:12", "--out", "a.dgs", "--pictures", "2", "--window-frames", "4"]);
-    let bytes = std::fs::read(at.join("a.dgs")).unwrap();
-    let mut server = Running(
-        Command::new(env!("CARGO_BIN_EXE_dgs"))
-            .current_dir(at)
-            .args(["serve", "-", "--listen", "127.0.0.1:0", "--no-http"])
-            .stdin(std::process::Stdio::piped())
-            .stdout(std::process::Stdio::piped())
-            .spawn()
-            .unwrap(),
-    );
-    let mut input = server.0.stdin.take().unwrap();
-    let manifest = 8 + u32::from_le_bytes(bytes[4..8].try_into().unwrap()) as usize;
-    input.write_all(&bytes[..manifest]).unwrap();
-    let mut url = String::new();
-    BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut url).unwrap();
-    let url = url.trim();
-    assert!(url.contains("/live#"), "{url}");
-    let shown = |json: &str| {
-        let json: serde_json::Value = serde_json::from_str(json).unwrap();
-        (json["report"]["shown_count"].as_u64().unwrap(), json["report"]["base_miss_rate"].as_f64().unwrap())
-    };
-    let early = std::thread::scope(|scope| {
-        let early = scope.spawn(|| ok(at, &["play", url, "--json"]));
-        std::thread::sleep(std::time::Duration::from_millis(500));
-        for part in bytes[manifest..].chunks(1000) {
-            input.write_all(part).unwrap();
-            std::thread::sleep(std::time::Duration::from_millis(2));
-        }
-        drop(input);
-        early.join().unwrap()
-    });
-    let (count, miss) = shown(&early);
-    assert!(count == 12 && miss < 0.5, "{early}");
-    assert_eq!(shown(&ok(at, &["play", url, "--json"])).0, 4);
-    drop(server);
-    let nothing = refused(at, &["serve", "-", "--listen", "127.0.0.1:0"]);
-    assert!(nothing.contains("standard input: the input is no .dgs stream"), "{nothing}");
 }
 
 /// What a server at `place` answers, head and body.

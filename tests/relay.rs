@@ -152,6 +152,30 @@ impl FrameSink for Decoding {
     }
 }
 
+/// Decodes, and says once when it has shown a frame, and when the base of frame 30 has come, which is the
+/// first of the second window.
+struct Announcing {
+    decoding: Decoding,
+    shown: Option<oneshot::Sender<()>>,
+    second_came: Option<oneshot::Sender<()>>,
+}
+
+impl FrameSink for Announcing {
+    fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String> {
+        self.decoding.show(player, frame)?;
+        if let Some(shown) = self.shown.take() {
+            let _ = shown.send(());
+        }
+        let second = player.usable(30).map_err(|error| error.to_string())?;
+        if second.motion[0] == second.blocks
+            && let Some(came) = self.second_came.take()
+        {
+            let _ = came.send(());
+        }
+        Ok(())
+    }
+}
+
 /// Frames follow each other, and the clip itself.
 fn is_in_order(frames: &[u32]) -> bool {
     frames.windows(2).all(|pair| pair[1] == (pair[0] + 1) % stream().manifest().unwrap().head().frames)
@@ -264,25 +288,35 @@ fn a_stream_is_published_while_it_is_made_and_who_joins_late_sees_its_newest_end
         });
         assert!(matches!(heard.recv().await, Some(PublishEvent::Connected { .. })));
         let config = ClientConfig { duration: None, ..subscriber(relay, relay.port) };
-        let (mut at_first, mut at_late) = (Decoding::default(), Decoding::default());
+        let (first_shows, first_shown) = oneshot::channel();
+        let (late_shows, late_shown) = oneshot::channel();
+        let (second_comes, second_came) = oneshot::channel();
+        let announcing = |shown, second_came| Announcing {
+            decoding: Decoding::default(),
+            shown: Some(shown),
+            second_came,
+        };
+        let mut at_first = announcing(first_shows, Some(second_comes));
+        let mut at_late = announcing(late_shows, None);
+        // Each window nearly a second before it is shown, however long a busy machine takes for all the rest.
         let making = async {
-            for windows in 2..=3 {
-                // A bit earlier than the first viewer needs it.
-                sleep(Duration::from_millis(800)).await;
-                let (graph, newest) = there(windows);
-                feed.renew(stream(), graph, newest).unwrap();
-            }
+            first_shown.await.unwrap();
+            let (graph, newest) = there(2);
+            feed.renew(stream(), graph, newest).unwrap();
+            late_shown.await.unwrap();
+            let (graph, newest) = there(3);
+            feed.renew(stream(), graph, newest).unwrap();
         };
         let late = async {
-            // Between the second window and the third.
-            sleep(Duration::from_millis(1000)).await;
+            // Between the second window and the third: the relay has the second.
+            second_came.await.unwrap();
             play(&config, &mut at_late, std::future::pending()).await.whole().unwrap()
         };
         let (first, late, ()) =
             tokio::join!(play(&config, &mut at_first, std::future::pending()), late, making);
         let first = first.whole().unwrap();
         for (report, screen, begins) in [(&first, &at_first, 0), (&late, &at_late, 30)] {
-            assert_eq!(screen.frames, (begins..90).collect::<Vec<_>>(), "{report:?}");
+            assert_eq!(screen.decoding.frames, (begins..90).collect::<Vec<_>>(), "{report:?}");
             assert!(report.startup_reached && report.base_miss_rate < 0.05, "{report:?}");
             assert_eq!((report.refused, report.connections), (0, 1), "{report:?}");
         }

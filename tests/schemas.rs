@@ -102,7 +102,7 @@ fn what_verbs_print_is_as_their_schemas_say() {
     std::fs::write(at.join("few.toml"), few).unwrap();
     let small = ["--width", "32", "--height", "32"];
     let scene = "synth:figure:1000:4";
-    let runs: [(&str, &[&str]); 18] = [
+    let runs: [(&str, &[&str]); 19] = [
         ("import", &[scene]),
         ("convert", &[scene, "a.gltf"]),
         ("convert", &[scene, "frames"]),
@@ -113,6 +113,7 @@ fn what_verbs_print_is_as_their_schemas_say() {
         ("cut", &["b.dgs", "c.dgs", "--levels", "0"]),
         ("cut", &["b.dgs", "d.dgs", "--bytes", "4000"]),
         ("decode", &["a.dgs", "--digest"]),
+        ("decode", &["a.dgs", "--digest", "--frame", "1"]),
         ("decode", &["a.dgs", "-o", "decoded"]),
         ("render", &["a.dgs", "-o", "a.png"]),
         ("stream", &["a.dgs"]),

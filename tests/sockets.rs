@@ -60,10 +60,12 @@ fn offer(name: &str) -> ServedStream {
     ServedStream::new(name, stream(), graph).unwrap()
 }
 
-/// Runs `test` where sockets have a runtime.
+/// Runs `test` where sockets have a runtime, and not for ever. The stream is encoded before: on a busy
+/// machine that takes long, and everything else would wait for it.
 fn within<T>(test: impl Future<Output = T>) -> T {
+    stream();
     let runtime = Runtime::new().unwrap();
-    runtime.block_on(async { tokio::time::timeout(Duration::from_secs(60), test).await.unwrap() })
+    runtime.block_on(async { tokio::time::timeout(Duration::from_secs(300), test).await.unwrap() })
 }
 
 /// A server on any free port.

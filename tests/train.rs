@@ -15,6 +15,8 @@ mod rank;
 mod recorded;
 #[path = "train/resumed.rs"]
 mod resumed;
+#[path = "train/utility.rs"]
+mod utility;
 
 use std::{
     fs,

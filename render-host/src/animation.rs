@@ -15,6 +15,24 @@ pub enum AnimationFormat {
     Gif,
 }
 
+impl AnimationFormat {
+    /// Fewest frames per second: a picture of a GIF stays for 65,535 hundredths of a second at most.
+    pub fn slowest(self) -> f64 {
+        match self {
+            Self::Apng => 0.001,
+            Self::Gif => 100.0 / f64::from(u16::MAX),
+        }
+    }
+
+    /// The frames per second that it holds, for people.
+    pub fn rates(self) -> &'static str {
+        match self {
+            Self::Apng => "0.001 to 10000",
+            Self::Gif => "0.001526 to 10000",
+        }
+    }
+}
+
 /// An animation on its way to a file.
 ///
 /// ```
@@ -80,7 +98,7 @@ impl<W: Write> Animation<W> {
         pictures: u32,
         frames_per_second: f64,
     ) -> Result<Self, ImageError> {
-        check(pictures, frames_per_second)?;
+        check(format, pictures, frames_per_second)?;
         let encoder = match format {
             AnimationFormat::Apng => {
                 let colour = png::ColorType::Rgb;
@@ -111,7 +129,7 @@ impl<W: Write> Animation<W> {
         pictures: u32,
         frames_per_second: f64,
     ) -> Result<Self, ImageError> {
-        check(pictures, frames_per_second)?;
+        check(AnimationFormat::Apng, pictures, frames_per_second)?;
         let writer = apng(file, png::ColorType::Rgba, size, pictures, frames_per_second)?;
         Ok(Self { encoder: Encoder::Apng(Box::new(writer)), size, left: pictures })
     }
@@ -172,13 +190,13 @@ impl<W: Write> Animation<W> {
 }
 
 /// Refuses an animation of no pictures, or of a rate out of range.
-fn check(pictures: u32, frames_per_second: f64) -> Result<(), ImageError> {
+fn check(format: AnimationFormat, pictures: u32, frames_per_second: f64) -> Result<(), ImageError> {
     if pictures == 0 {
         return Err(ImageError::Empty("the animation"));
     }
-    if !(0.001..=10_000.0).contains(&frames_per_second) {
+    if !(format.slowest()..=10_000.0).contains(&frames_per_second) {
         let (field, found) = ("frames_per_second", frames_per_second.to_string());
-        return Err(ImageError::Range { field, found, allowed: "0.001 to 10000" });
+        return Err(ImageError::Range { field, found, allowed: format.rates() });
     }
     Ok(())
 }
@@ -286,6 +304,21 @@ mod tests {
         assert!(animation.add(&pictures()[1]).is_err(), "one too many");
         assert!(Animation::begin(Vec::new(), AnimationFormat::Gif, (12, 8), 0, 30.0).is_err());
         assert!(Animation::begin(Vec::new(), AnimationFormat::Apng, (12, 8), 1, f64::NAN).is_err());
+    }
+
+    /// A picture of a GIF that stayed longer would be cut short.
+    #[test]
+    fn a_gif_is_no_slower_than_its_delays_can_say() {
+        let begin = |format, rate| Animation::begin(Vec::new(), format, (12, 8), 3, rate);
+        let error = begin(AnimationFormat::Gif, 0.0015).err().unwrap().to_string();
+        assert!(error.contains("0.0015") && error.contains("0.001526 to 10000"), "{error}");
+        assert!(begin(AnimationFormat::Apng, 0.0015).is_ok());
+        for rate in [AnimationFormat::Gif.slowest(), 0.001526] {
+            let mut clock = HundredthClock { frames_per_second: rate, pictures: 0 };
+            let length: u64 = (0..3).map(|_| u64::from(clock.next())).sum();
+            assert_eq!(length, (300.0 / rate).round() as u64, "{rate}");
+            assert!(begin(AnimationFormat::Gif, rate).is_ok(), "{rate}");
+        }
     }
 
     /// A file with room for so many bytes.

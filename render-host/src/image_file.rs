@@ -5,6 +5,7 @@
 
 mod capacity;
 mod jpeg;
+mod jpeg_end;
 
 use std::io::{BufRead, Cursor, Seek};
 
@@ -84,8 +85,8 @@ impl Rgba8 {
     /// Decodes PNG, JPEG or WebP bytes; the format is detected from the first bytes.
     ///
     /// # Errors
-    /// [`FileError`]: another format, damage, or a picture beyond `bounds`, or larger than a file of this
-    /// length can hold.
+    /// [`FileError`]: another format, damage, a file that is cut off, or a picture beyond `bounds`, or larger
+    /// than a file of this length can hold.
     pub fn decode(bytes: &[u8], bounds: Bounds) -> Result<Self, FileError> {
         match Format::of(bytes)? {
             Format::Png => decode_png(bytes, bounds),
@@ -256,6 +257,7 @@ fn decode_jpeg(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
     let size = (width as u32, height as u32);
     bounds.check(size)?;
     capacity::check_jpeg(size, bytes.len()).map_err(codec)?;
+    jpeg_end::check(bytes).map_err(codec)?;
     let grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
     let colours = if grey { ColorSpace::Luma } else { ColorSpace::RGB };
     decoder.set_options(options.jpeg_set_out_colorspace(colours));
@@ -263,7 +265,8 @@ fn decode_jpeg(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
     Rgba8::new(size, if grey { grey_to_rgba(&data) } else { rgb_to_rgba(&data) })
 }
 
-/// How JPEG files are read whose sides are at most so many pixels.
+/// How JPEG files are read whose sides are at most so many pixels. Strictness would refuse bytes between
+/// headers, which some programs leave there, and not every file that is cut off.
 fn jpeg_options(side: u32) -> DecoderOptions {
     let options = DecoderOptions::default().set_strict_mode(false);
     options.set_max_width(side as usize).set_max_height(side as usize)

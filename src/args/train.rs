@@ -73,9 +73,10 @@ pub struct Train {
     /// Degree of the spherical harmonics, 0 to 3 [default: 2].
     #[arg(long, value_parser = whole::<u8>(0..=3, "degrees"))]
     pub sh_degree: Option<u8>,
-    /// Longest side of the photographs that are trained on, pixels: larger ones are halved, or more, and cut
-    /// by a few pixels where that does not divide them; --delivery compares with no larger ones [default:
-    /// 800].
+    /// Longest side of the photographs that are trained on, pixels. Where one is larger, all are reduced, by
+    /// one whole number of at most 64, and cut by a few pixels where that does not divide them; photographs
+    /// that are too large or too thin for that stay larger, and a note says so. --delivery compares with no
+    /// larger ones [default: 800].
     #[arg(long, value_parser = whole::<u32>(16..=16_384, "pixels"))]
     pub max_side: Option<u32>,
     /// Background that figures are for, 0 to 1 per channel: grey level, r,g,b or #rrggbb [default: 1; of

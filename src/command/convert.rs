@@ -88,6 +88,11 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     for note in &scene.notes {
         text += &format!("  note: {note}\n");
     }
+    // A file holds one frame, and its Gaussians.
+    let (only, gaussians) = match output {
+        SceneOutput::File(_) => (Some(only), frame(only)?.epoch.count()),
+        SceneOutput::Folder | SceneOutput::FourDgs => (None, scene.max_count()),
+    };
     let length = |path: &Path| {
         std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file).map(|found| found.len())
     };
@@ -96,7 +101,7 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let json = json!({
         "input": args.input, "out": files::shown(&args.out),
         "buffer": buffer.as_deref().map(files::shown),
-        "gaussians": scene.max_count(), "frames": count,
+        "gaussians": gaussians, "frame": only, "frames": count,
         "bytes": bytes, "axes": turned, "notes": scene.notes, "warnings": warnings,
     });
     Ok(VerbOutput { text, json, warnings, damaged })

@@ -69,6 +69,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
         let of = args.frame.map_or(String::new(), |frame| format!(" of frame {frame}"));
         text += &format!("digest{of} {digest}\n");
         json["digest"] = json!(digest);
+        json["digest_frame"] = json!(args.frame);
     }
     if let Some((out, output)) = out {
         let mut left_out = LeftOut::default();

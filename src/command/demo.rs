@@ -21,7 +21,7 @@ use self::pictures::{Measured, Rendering};
 use crate::{
     args::{Demo, TransportName},
     figures::{Machine, frozen, mean},
-    files,
+    files::{self, MadeFolder},
     output::VerbOutput,
     pipeline::{self, Loaded, Quiet},
     progress::Progress,
@@ -38,13 +38,17 @@ const UTILITIES: &str = "utility.json";
 
 /// Runs the verb.
 pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
-    let written = ["report.html", "report.json", UTILITIES].map(|name| args.out.join(name));
+    let written = ["report.html", "report.json"].map(|name| args.out.join(name));
     if let Some(file) = written.iter().find(|file| !args.overwrite && file.exists()) {
         bail!("{}: is there already; name another folder, or --overwrite", file.display());
     }
-    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot make", args.out.display()))?;
-    written.iter().try_for_each(|file| files::check(file))?;
-    let [report, figures, _] = written;
+    MadeFolder::check(&args.out)?;
+    let utilities = args.out.join(UTILITIES);
+    // Where there is no folder yet, there is nothing in it that could not be written over.
+    if args.out.is_dir() {
+        written.iter().chain([&utilities]).try_for_each(|file| files::check(file))?;
+    }
+    let [report, figures] = written;
     let page = page(args, quiet)?;
     files::write(&report, html::page(&page).as_bytes())?;
     let json = serde_json::to_value(&page)?;
@@ -105,6 +109,8 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let backend = Backend::open(args.device.into()).context("--device")?;
     let input = args.scene.as_deref().unwrap_or(DEFAULT_SCENE);
     let Loaded { name, scene, damage } = pipeline::import(input, &args.source)?;
+    // Encoding and measuring may take minutes: what they would be in vain for is refused before.
+    let typed_link = pipeline::typed_link(&args.link)?;
     let encoded =
         pipeline::encode(&scene, &pipeline::encode_options(&args.codec, Protection::STANDARD), quiet)?;
     let (stream, ledger) = (encoded.stream, encoded.report.ledger);
@@ -119,7 +125,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let options =
         utility::UtilityOptions { contexts: args.contexts.max(1), ..utility::UtilityOptions::paper() };
     let cache = args.out.join(UTILITIES);
-    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot create", args.out.display()))?;
+    let _folder = MadeFolder::make(&args.out)?;
     let mut notes = scene.notes.clone();
     let damaged = damage.is_some();
     notes.extend(damage);
@@ -127,7 +133,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
         pipeline::utilities(&sources, &content, &map, &options, Some(&cache), quiet, &mut |w| notes.push(w))?;
 
     let graph = pipeline::graph(&stream, &map, Some(&table))?;
-    let link = pipeline::link(&args.link, &graph)?;
+    let link = typed_link.before(&graph)?;
     let deliveries: Result<Vec<_>> = POLICIES
         .par_iter()
         .map(|&policy| pipeline::deliver(&stream, &map, &graph, &link.config, policy, args.link.transport))

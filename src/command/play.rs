@@ -26,7 +26,7 @@ use super::{
 };
 use crate::{
     args::Play,
-    figures::{frozen, mean},
+    figures::{frozen, mean, startup},
     files::LineLog,
     output::VerbOutput,
     pictures::{PictureOutput, PictureRun, PictureWriter},
@@ -340,7 +340,7 @@ fn quality(psnr_db: BTreeMap<u32, f64>) -> Quality {
 
 /// The report for people.
 fn summary(args: &Play, report: &PlayReport, quality: Option<&Quality>) -> String {
-    let startup = report.startup_ms.map_or("never".to_owned(), |ms| format!("{ms:.0} ms"));
+    let startup = startup(report.startup_ms, report.startup_reached);
     let late = report.shown.iter().map(|shown| shown.late_ms).fold(0.0, f64::max);
     let mut text = format!(
         "{}\n  startup {startup}, {} frames shown of a clip of {}, {} rounds, at most {late:.1} ms late\n  \
@@ -399,6 +399,16 @@ mod tests {
     fn a_time_to_play_may_be_longer_than_any_that_can_be_counted() {
         assert_eq!(duration(0.5), Duration::from_millis(500));
         assert_eq!((duration(1e20), duration(f64::MAX)), (Duration::MAX, Duration::MAX));
+    }
+
+    #[test]
+    fn playout_that_began_as_the_wait_was_over_is_said_so() {
+        let args = played(&["dgs://host"]);
+        let begun = PlayReport { startup_ms: Some(5005.2), ..PlayReport::default() };
+        let text = summary(&args, &begun, None);
+        assert!(text.contains("startup not reached in 5005 ms, 0 frames shown"), "{text}");
+        let reached = PlayReport { startup_reached: true, ..begun };
+        assert!(summary(&args, &reached, None).contains("startup 5005 ms, "));
     }
 
     #[test]

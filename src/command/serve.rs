@@ -1,13 +1,11 @@
 //! Serves streams over QUIC, and a page over HTTP, until Ctrl-C: `dgs serve`.
 
+mod offers;
 mod ports;
 
 use std::{
     collections::VecDeque,
-    io,
     net::{IpAddr, Ipv4Addr, Ipv6Addr},
-    path::Path,
-    thread,
     time::Duration,
 };
 
@@ -17,10 +15,11 @@ use dgs_quic::{
     http::{HttpReport, HttpServer, Site, SiteStream},
     socket::{
         Identity, Locator, Scheme, ServedStream, Server, ServerConfig, ServerLimits, ServerReport,
-        ViewerReport,
-        message::{MAX_NAME_BYTES, StreamChoice},
+        ViewerReport, message::StreamChoice,
     },
 };
+pub(super) use offers::name;
+use offers::{check_names, offers};
 use ports::Ports;
 use serde_json::json;
 use tokio::sync::oneshot;
@@ -31,16 +30,10 @@ use super::{
 };
 use crate::{
     args::{Serve, ServerController},
-    figures::counted,
     files::LineLog,
     output::{self, VerbOutput},
-    pipeline::{self, LiveReader, Quiet},
+    pipeline::{self, Quiet},
 };
-
-/// Standard input, as an input.
-const LIVE_INPUT: &str = "-";
-/// What the stream from standard input is called.
-const LIVE_NAME: &str = "live";
 
 /// What an emulated link is not in front of.
 const UNIMPAIRED: &str = "--impair is in front of UDP; pages that come by WebSocket (TCP, which repeats \
@@ -50,11 +43,6 @@ const UNIMPAIRED: &str = "--impair is in front of UDP; pages that come by WebSoc
 /// What the addresses that are printed are for.
 const FOR_PROGRAMS: &str = "for dgs play, and for dgs view --window:";
 const FOR_BROWSERS: &str = "for a browser, the page that plays it:";
-
-/// A file lies by level.
-const NOT_BY_WINDOW: &str = "warning: packets of windows that were over came on standard input: viewers are \
-                             shown a stream that grows from its newest window on; dgs cut FILE - --live \
-                             writes a file so, and dgs serve FILE serves it whole";
 
 /// Viewers of whom the report at the end tells one by one, the last ones; all are counted.
 const MAX_REPORTED: usize = 4096;
@@ -100,7 +88,7 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     // Encoding may take minutes: what it would be in vain for is refused before.
     check_names(&args.inputs)?;
     let ports = Ports::open(args, || Ok(Server::open(args.listen)?))?;
-    let offers = offers(args, quiet, &mut warnings)?;
+    let (streams, damage) = offers(args, quiet, &mut warnings)?;
     let limits = ServerLimits {
         max_viewers: args.max_viewers,
         max_viewers_per_address: args.max_viewers_per_address,
@@ -120,13 +108,16 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     };
     // At once: serving may take days.
     warnings.iter().for_each(|warning| output::print_status(&format!("warning: {warning}")));
-    let served = runtime()?.block_on(serve((args, &host), ports, config, offers, log, quiet))?;
+    let served = runtime()?.block_on(serve((args, &host), ports, config, streams, log, quiet))?;
     let Served { urls, page, report, viewers, http } = served;
     let text = summary(&report, http.as_ref());
+    let (damaged, at_the_end) = damage.until_now();
+    warnings.extend(at_the_end.clone());
     let json = json!({
         "urls": urls, "page": page, "server": report, "http": http, "viewers": viewers, "warnings": warnings,
     });
-    Ok(VerbOutput { text, json, ..VerbOutput::default() })
+    // The others were said when serving began.
+    Ok(VerbOutput { text, json, warnings: at_the_end.into_iter().collect(), damaged })
 }
 
 /// Whether a browser takes `host` for this machine.
@@ -156,46 +147,13 @@ fn publish(args: &Serve, relay: &Locator, quiet: Quiet) -> Result<VerbOutput> {
     check_names(&args.inputs)?;
     relay::check(relay, args.inputs.len())?;
     let mut warnings = Vec::new();
-    let offers = offers(args, quiet, &mut warnings)?;
+    let (streams, damage) = offers(args, quiet, &mut warnings)?;
     warnings.iter().for_each(|warning| output::print_status(&format!("warning: {warning}")));
-    let mut output = relay::publish(relay, trust, &offers, quiet)?;
-    output.json["warnings"] = json!(warnings);
-    Ok(output)
-}
-
-/// Refuses inputs of which two would have one name.
-fn check_names(inputs: &[String]) -> Result<()> {
-    if inputs.iter().filter(|input| *input == LIVE_INPUT).count() > 1 {
-        bail!("{LIVE_INPUT} is given twice; standard input is one stream");
-    }
-    let called = |input: &String| if input == LIVE_INPUT { LIVE_NAME.to_owned() } else { name(input) };
-    let names: Vec<String> = inputs.iter().map(called).collect();
-    for (at, called) in names.iter().enumerate() {
-        if let Some(before) = names[..at].iter().position(|name| name == called) {
-            bail!(
-                "two streams are called {called}, {} and {}: rename a file; dgs encode makes a file of a \
-                 scene",
-                inputs[before],
-                inputs[at]
-            );
-        }
-    }
-    Ok(())
-}
-
-/// The streams that are named, ready to be sent.
-fn offers(args: &Serve, quiet: Quiet, warnings: &mut Vec<String>) -> Result<Vec<ServedStream>> {
-    let mut offers = Vec::new();
-    for input in &args.inputs {
-        if input == LIVE_INPUT {
-            offers.push(live(quiet)?);
-            continue;
-        }
-        let warn = &mut |warning| warnings.push(warning);
-        let ready = pipeline::sendable(input, &args.scene, &args.codec, args.policy, quiet, warn)?;
-        offers.push(ServedStream::new(&name(input), &ready.stream, ready.graph)?);
-    }
-    Ok(offers)
+    let VerbOutput { text, mut json, .. } = relay::publish(relay, trust, &streams, quiet)?;
+    let (damaged, at_the_end) = damage.until_now();
+    warnings.extend(at_the_end.clone());
+    json["warnings"] = json!(warnings);
+    Ok(VerbOutput { text, json, warnings: at_the_end.into_iter().collect(), damaged })
 }
 
 /// What was served, and to whom.
@@ -250,6 +208,8 @@ async fn serve(
         Some(http) => Some(page_url(host, http.local_addr().context("--http")?.port())),
         None => None,
     };
+    // Whoever hears an address may interrupt what serves it.
+    let interrupted = interruption();
     // At once: whoever started this waits for it. With --json standard output is for the end.
     // Standard output has addresses alone, for programs that read them.
     for (whom, addresses) in [(FOR_PROGRAMS, urls.as_slice()), (FOR_BROWSERS, page.as_slice())] {
@@ -282,7 +242,7 @@ async fn serve(
     };
     let (stop, stopped) = oneshot::channel::<()>();
     let stopping = async {
-        interruption().await;
+        interrupted.await;
         drop(stop);
     };
     let pages = async {
@@ -293,31 +253,6 @@ async fn serve(
     };
     let (report, http) = tokio::join!(server.run(stopping, ended), pages);
     Ok(Served { urls, page, report, viewers, http })
-}
-
-/// A stream that is read from standard input while it is served.
-fn live(quiet: Quiet) -> Result<ServedStream> {
-    let mut reader = LiveReader::new(io::stdin()).context("standard input")?;
-    let (offer, feed) = ServedStream::live(LIVE_NAME, reader.stream(), reader.graph()?, reader.newest())?;
-    // Reading blocks, for as long as the encoder wants; the end of the process ends it.
-    let mut read = move || -> Result<(usize, bool)> {
-        while reader.advance()? {
-            feed.renew(reader.stream(), reader.graph()?, reader.newest())?;
-        }
-        Ok((reader.damaged(), reader.is_by_window()))
-    };
-    let until_the_end = move || match read() {
-        Ok((0, true)) if quiet.0 => {}
-        Ok((damaged, by_window)) => {
-            output::print_status(&format!("standard input has ended; {} damaged", counted(damaged, "part")));
-            if !by_window {
-                output::print_status(NOT_BY_WINDOW);
-            }
-        }
-        Err(error) => output::print_status(&format!("standard input: {error:#}; what has come is served on")),
-    };
-    thread::Builder::new().name("dgs-live".to_owned()).spawn(until_the_end).context("cannot read beside")?;
-    Ok(offer)
 }
 
 /// A stream as a page lists it.
@@ -332,15 +267,6 @@ fn site_stream(offer: &ServedStream) -> SiteStream {
 
 fn page_url(host: &str, port: u16) -> String {
     if host.contains(':') { format!("http://[{host}]:{port}/") } else { format!("http://{host}:{port}/") }
-}
-
-/// What a stream is called: its file's name without extension, other characters than a name has replaced.
-pub(super) fn name(input: &str) -> String {
-    let plain = input.strip_prefix("synth:").map_or(input, |kind| kind.split(':').next().unwrap_or(kind));
-    let stem = Path::new(plain).file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into());
-    let legal = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' };
-    let name: String = stem.chars().take(MAX_NAME_BYTES).map(legal).collect();
-    if name.is_empty() { "stream".to_owned() } else { name }
 }
 
 /// One viewer for people.
@@ -383,6 +309,15 @@ mod tests {
 
     use super::*;
     use crate::args::{Cli, Verb};
+
+    /// Nor is the first of these inputs a scene, which is found as it is read.
+    #[test]
+    fn an_input_that_is_not_there_is_refused_before_another_is_encoded() {
+        for missing in ["none.ply", "none.dgs", "synth:none"] {
+            let error = refused(&["Cargo.toml", missing, "--listen", "127.0.0.1:0"]);
+            assert!(error.starts_with(missing), "{error}");
+        }
+    }
 
     #[test]
     fn pages_elsewhere_need_a_certificate() {
@@ -433,18 +368,5 @@ mod tests {
         let relay = format!("moq+https://host/name#{}", "0".repeat(64));
         let error = refused(&["none.dgs", "other.dgs", "--moq", &relay]);
         assert!(error.contains("--features moq") || error.contains("leave the name out"), "{error}");
-    }
-
-    #[test]
-    fn streams_are_called_by_their_files() {
-        for (input, called) in [
-            ("a/Fox.glb", "Fox"),
-            ("b c.dgs", "b-c"),
-            ("synth:figure:8000:60", "figure"),
-            ("folder/", "folder"),
-            ("/", "stream"),
-        ] {
-            assert_eq!(name(input), called);
-        }
     }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
-use emulator_host::{Report, SessionConfig};
+use emulator_host::SessionConfig;
 use render_host::metric;
 use serde_json::{Value, json};
 use trainer_host::{Stream, evaluator, train::delivery::Recording};
@@ -12,7 +12,7 @@ use trainer_host::{Stream, evaluator, train::delivery::Recording};
 use crate::{
     args::{StreamArgs, TransportName},
     delivery::ShownState,
-    figures::{counted, frozen, mean, number},
+    figures::{counted, frozen, mean, number, startup},
     files,
     output::VerbOutput,
     pipeline::{self, Delivered, Frames, Lost, Quiet, Sendable, Watching},
@@ -31,6 +31,12 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     if args.no_pose && !args.cameras.is_given() {
         bail!("--no-pose is for a viewer; --eye, --turntable or --cameras gives one");
     }
+    // Encoding may take minutes: what it would be in vain for is refused before.
+    let impaired =
+        args.impair.as_deref().map(|text| pipeline::impaired_link(text, &args.link)).transpose()?;
+    let typed_link = pipeline::typed_link(&args.link)?;
+    let is_watched = args.cameras.is_given();
+    let of_file = if is_watched { Watching::of_file(&args.cameras, &args.view)? } else { None };
     let mut warnings = Vec::new();
     let warn = &mut |warning| warnings.push(warning);
     let Sendable { stream, map, graph, damaged } =
@@ -38,13 +44,16 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     if graph.packets().is_empty() {
         bail!("{}: nothing of this stream can be sent", args.input);
     }
-    let link = match &args.impair {
-        Some(text) => pipeline::impaired_link(text, &args.link)?,
-        None => pipeline::link(&args.link, &graph)?,
+    let link = match impaired {
+        Some(link) => link,
+        None => typed_link.before(&graph)?,
     };
     warnings.extend(link.warnings.iter().cloned());
     let policy = pipeline::policy(args.policy);
-    let watching = if args.cameras.is_given() { Some(watching(args, &stream)?) } else { None };
+    let watching = match of_file {
+        None if is_watched => Some(watching(args, &stream)?),
+        of_file => of_file,
+    };
     let unused = args.view.given();
     if watching.is_none() && !unused.is_empty() {
         let names = unused.join(", ");
@@ -67,7 +76,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
          recovered by repair\n  lost {lost}{}{}\n",
         report.policy,
         link.description,
-        startup(&report),
+        startup(report.startup_ms, report.startup_reached),
         100.0 * report.miss_rate,
         100.0 * report.positive_miss_rate,
         100.0 * report.base_miss_rate,
@@ -122,15 +131,6 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         text += &recorded(path, &stream, shown, &mut json)?;
     }
     Ok(VerbOutput { text, json, warnings, damaged: is_partial })
-}
-
-/// When playout started, in words.
-fn startup(report: &Report) -> String {
-    match report.startup_ms {
-        None => "never".to_owned(),
-        Some(ms) if report.startup_reached => format!("{ms:.0} ms"),
-        Some(ms) => format!("not reached in {ms:.0} ms"),
-    }
 }
 
 /// Writes what arrived as `out`, if it can be read; says so.

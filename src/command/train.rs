@@ -115,10 +115,11 @@ fn train(
     if scene.is_none() || delivery.is_none() {
         check_size(args, trained_for, (args.frames.unwrap_or(dataset.frames), rate))?;
     }
-    let _opened = folder.open(args)?;
+    let opened = folder.open(args)?;
     let stop = Interruption::watch();
     if let (Some(scene), Some(options)) = (scene, delivery) {
-        return delivery::run(args, &folder, scene, dataset, (options, backend), &stop, quiet);
+        let known = (dataset, input.notes.as_slice());
+        return delivery::run(args, &folder, scene, known, (options, backend), &stop, quiet);
     }
     let has_rounded = match (&resumed, &begun) {
         (Some(checkpoint), _) => checkpoint.has_rounded(),
@@ -130,7 +131,7 @@ fn train(
     let (encoder, changes) = encoder.taken_up(&folder.encoder, args.resume, has_rounded, dataset.frames)?;
     let with = (delivery.map(|options| (options, backend)), &encoder, network.as_ref());
     let plan = match scene {
-        Some(scene) => Plan::of(args, &folder, scene, (dataset, rate), &stop, quiet)?,
+        Some(scene) => Plan::of(args, (&folder, &opened), scene, (dataset, rate), &stop, quiet)?,
         None => None,
     };
     let parted = plan.as_ref().filter(|plan| plan.is_parted());
@@ -213,8 +214,11 @@ fn finish(
     let plain = trained.options.background;
     let audits = if args.utility {
         stop.leave_at_once(ENCODED);
-        let (audits, table) = utility::audits(&written.stream, dataset, plain, &folder.utility, quiet)?;
-        files::write(&folder.stream, &pipeline::file_by_utility(&written.stream, &table)?)?;
+        let shown = (plain, !trained.exposures.is_empty());
+        let (audits, table) = utility::audits(&written.stream, dataset, shown, &folder.utility, quiet)?;
+        if let Some(table) = table {
+            files::write(&folder.stream, &pipeline::file_by_utility(&written.stream, &table)?)?;
+        }
         audits
     } else {
         Vec::new()

@@ -12,7 +12,7 @@ use anyhow::{Context, Result, bail};
 use dgs_quic::http::{HttpConfig, HttpLimits, HttpServer, Site, SiteStream};
 use serde_json::json;
 
-use self::opened::opened;
+use self::opened::{check, opened};
 use super::{
     serve::name,
     socket::{asset, interruption, runtime},
@@ -53,6 +53,8 @@ fn page(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     if seek > 0.0 || paused || once || fullscreen {
         bail!("--seek, --paused, --once and --fullscreen are for --window, which is missing");
     }
+    // Before any is encoded, for minutes.
+    args.inputs.iter().try_for_each(|input| check(input, args))?;
     let (mut warnings, mut damaged) = (Vec::new(), false);
     let mut streams = Vec::new();
     for input in &args.inputs {

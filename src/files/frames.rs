@@ -12,6 +12,19 @@ use trainer_host::import::{SEQUENCE_INDEX, SequenceIndex};
 
 use super::{affixes, check_folder, folder_of, leftovers, leftovers::Unfinished, or_here, sync_folder};
 
+/// Refuses a `target` that cannot be made, with the folders that it lies in; nothing is made.
+///
+/// # Errors
+/// A file where a folder is needed, or a folder that cannot be written to.
+pub(super) fn check_can_make(target: &Path) -> Result<()> {
+    let ancestors = folder_of(target).ancestors();
+    let existing = ancestors.map(or_here).find(|folder| folder.exists()).unwrap_or(Path::new("."));
+    check_folder(existing)?;
+    let failed = || format!("{}: cannot write in this folder", existing.display());
+    tempfile::Builder::new().prefix(&affixes(target).0).tempfile_in(existing).with_context(failed)?;
+    Ok(())
+}
+
 /// A folder of frames on its way: under a temporary name beside its own until [`FrameFolder::finish`].
 #[derive(Debug)]
 pub struct FrameFolder {
@@ -32,12 +45,7 @@ impl FrameFolder {
     /// As [`FrameFolder::create`].
     pub fn check(target: &Path, overwrite: bool) -> Result<()> {
         check_unused(target, overwrite)?;
-        let ancestors = folder_of(target).ancestors();
-        let existing = ancestors.map(or_here).find(|folder| folder.exists()).unwrap_or(Path::new("."));
-        check_folder(existing)?;
-        let failed = || format!("{}: cannot write in this folder", existing.display());
-        tempfile::Builder::new().prefix(&affixes(target).0).tempfile_in(existing).with_context(failed)?;
-        Ok(())
+        check_can_make(target)
     }
 
     /// Begins a folder that will be `target`. A `target` that holds anything is refused; with `overwrite`

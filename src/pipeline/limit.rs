@@ -10,7 +10,7 @@ const LINK_FULL: f64 = 0.85;
 const WINDOW_FULL: f64 = 0.4;
 /// A window with less room than this is full.
 const DATAGRAM_BYTES: u64 = 1200;
-/// A link that can carry less than this carries nothing.
+/// A link that can carry less than this, and of which nothing came, carries nothing.
 const OPPORTUNITY_BYTES: u64 = 1500;
 /// Share of lost datagrams, or of packets that were never sent or came late, from which on they matter.
 const NOTABLE: f64 = 0.01;
@@ -81,11 +81,12 @@ impl Link {
 /// something is missing which it explains.
 fn limit(report: &Report, graph: &PacketGraph, capacity: &Capacity) -> String {
     let could = capacity.bytes_until(report.duration_ns).0;
-    if could < OPPORTUNITY_BYTES {
+    let capacity_box = report.boxes.iter().find(|row| is_queue(&row.label));
+    let delivered = capacity_box.map_or(0, |row| row.counts.delivered.bytes);
+    if could < OPPORTUNITY_BYTES && delivered == 0 {
         return "link (it carried nothing)".to_owned();
     }
-    let capacity_box = report.boxes.iter().find(|row| is_queue(&row.label));
-    let used = capacity_box.map_or(0.0, |row| row.counts.delivered.bytes as f64 / could as f64);
+    let used = delivered as f64 / could.max(1) as f64;
     // Bursts after a pause (`light`) come on top of the capacity.
     let used = used.min(1.0);
     let used_words = match capacity {
@@ -175,6 +176,22 @@ mod tests {
         assert_eq!(unlimited, "not the link (it has no limit of rate)");
         let short = limit_of(4000, 5000, &|path| path.queue = QueueLimit { bytes: 3000, datagrams: 2 });
         assert!(!short.starts_with("deadline"), "{short}");
+    }
+
+    /// The whole stream may be smaller than a datagram.
+    #[test]
+    fn a_link_that_delivered_a_little_is_used_and_not_dead() {
+        let graph = Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap();
+        let capacity = Capacity::Constant(Rate(0));
+        let forward = PathConfig { capacity: capacity.clone(), ..PathConfig::default() };
+        let config = SessionConfig { forward, ..SessionConfig::default() };
+        let mut report = simulate(&graph, &config).unwrap();
+        assert_eq!(limit(&report, &graph, &capacity), "link (it carried nothing)");
+        let capacity_box = report.boxes.iter_mut().find(|row| is_queue(&row.label)).unwrap();
+        capacity_box.counts.delivered.bytes = 640;
+        let slow = Capacity::Constant(Rate(640 * 8_000_000_000 / report.duration_ns.0));
+        assert!(slow.bytes_until(report.duration_ns).0 < OPPORTUNITY_BYTES);
+        assert_eq!(limit(&report, &graph, &slow), "link (100 % of the link used)");
     }
 
     /// Of more than 4,000 packets, and where delays follow a trace.

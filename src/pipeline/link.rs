@@ -59,18 +59,53 @@ impl Link {
 /// # Errors
 /// An unreadable trace, or numbers out of range.
 pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
-    let (replay, mut warnings) = recorded(args)?;
+    typed_link(args)?.before(graph)
+}
+
+/// The link as typed, before it is known what goes over it: its traces are read.
+pub(crate) struct TypedLink<'a> {
+    args: &'a LinkArgs,
+    replay: Replay,
+    /// What whoever uses its traces should know.
+    notes: Vec<String>,
+}
+
+/// Reads the link as typed: asked before the work that makes the stream for it.
+///
+/// # Errors
+/// An unreadable trace, a scale out of range, or a controller that the transport has not.
+pub(crate) fn typed_link(args: &LinkArgs) -> Result<TypedLink<'_>> {
+    check_controller(args)?;
+    let (replay, notes) = recorded(args)?;
+    if let Some(scale) = args.scale {
+        scaled_as_typed(args, &replay.capacity, scale)?;
+    }
+    Ok(TypedLink { args, replay, notes })
+}
+
+impl TypedLink<'_> {
+    /// The link before a stream of `graph`'s size.
+    ///
+    /// # Errors
+    /// A load that the built-in trace cannot be scaled to.
+    pub(crate) fn before(self, graph: &PacketGraph) -> Result<Link> {
+        let Self { args, replay, notes } = self;
+        let scale = match args.scale {
+            Some(scale) => scale,
+            None if args.trace.is_none() => {
+                scale_for(&replay.capacity, graph, args.load.unwrap_or(LinkArgs::LOAD))?
+            }
+            None => 1.0,
+        };
+        scaled_link(args, replay, scale, notes)
+    }
+}
+
+/// The link as typed, with `scale` times the capacity of what was recorded.
+fn scaled_link(args: &LinkArgs, replay: Replay, scale: f64, mut warnings: Vec<String>) -> Result<Link> {
     let Replay { capacity: trace, delay: delay_trace, loss: loss_trace } = replay;
-    let scale = match args.scale {
-        Some(scale) => scale,
-        None if args.trace.is_none() => scale_for(&trace, graph, args.load.unwrap_or(LinkArgs::LOAD))?,
-        None => 1.0,
-    };
     warnings.extend(args.unused());
-    let trace = scaled(&trace, scale).with_context(|| {
-        let file = args.trace.as_ref().map(|path| path.display().to_string());
-        format!("--scale {scale:?}: {}", file.as_deref().unwrap_or(trace.name()))
-    })?;
+    let trace = scaled_as_typed(args, &trace, scale)?;
     let delay = args
         .delay_ms
         .map(Nanos::from_ms)
@@ -206,6 +241,28 @@ fn scaled(trace: &Trace, factor: f64) -> Result<Trace> {
     };
     ensure!(wanted <= most, refusal());
     trace.scaled((factor * PARTS as f64).round() as u64, PARTS).with_context(refusal)
+}
+
+/// As [`scaled`], with the scale and the name of the trace in the error.
+fn scaled_as_typed(args: &LinkArgs, trace: &Trace, scale: f64) -> Result<Trace> {
+    scaled(trace, scale).with_context(|| {
+        let file = args.trace.as_ref().map(|path| path.display().to_string());
+        format!("--scale {scale:?}: {}", file.as_deref().unwrap_or(trace.name()))
+    })
+}
+
+/// Refuses a controller of the model alone over another transport.
+fn check_controller(args: &LinkArgs) -> Result<()> {
+    let is_of_quinn = match args.controller {
+        ControllerName::Newreno | ControllerName::Cubic | ControllerName::Scream => true,
+        ControllerName::BbrModel | ControllerName::BbrPaper => false,
+    };
+    ensure!(
+        is_of_quinn || args.transport == TransportName::Model,
+        "--transport quic: controller is {}; over quinn-proto it must be newreno, cubic or scream",
+        controller(args.controller).name()
+    );
+    Ok(())
 }
 
 /// A session over `forward`.
@@ -391,6 +448,21 @@ mod tests {
         assert!(format!("{error:#}").starts_with("--scale 1e-9: bursty"), "{error:#}");
         let backward = link(&typed(&["--trace", &file("pitree-1", "0 1\n1 2\n")]), &graph(30)).unwrap();
         assert!(backward.warnings[0].contains("pitree"), "{:?}", backward.warnings);
+    }
+
+    /// Before anything is known of a stream.
+    #[test]
+    fn what_no_stream_can_be_sent_over_is_refused_as_it_is_typed() {
+        for (args, says) in [
+            (&["--trace", "nofile"][..], "nofile"),
+            (&["--delay-trace", "nofile"], "nofile"),
+            (&["--scale", "1e9"], "--scale 1000000000.0: bursty"),
+            (&["--transport", "quic", "--controller", "bbr-model"], "quic: controller is bbr-model"),
+        ] {
+            let error = typed_link(&typed(args)).err().map(|error| format!("{error:#}"));
+            assert!(error.as_ref().is_some_and(|error| error.contains(says)), "{args:?}: {error:?}");
+        }
+        typed_link(&typed(&["--transport", "quic", "--controller", "scream"])).unwrap();
     }
 
     #[test]

@@ -4,7 +4,7 @@ use anyhow::{Result, bail};
 use codec_core::internals::{receiver::Content, wire::receipt::ViewerPose};
 use emulator_host::session::ViewerPath;
 use render_host::{Backend, Camera, Image, Settings};
-use trainer_host::evaluator;
+use trainer_host::{evaluator, scene::Up, viewpoint::Framing};
 
 use super::{Frames, RENDER_RING, Showing, Surroundings, viewpoints};
 use crate::args::{CameraArgs, ViewArgs};
@@ -24,13 +24,32 @@ impl Watching {
     /// Cameras that cannot be read or placed, or several that do not follow the frames.
     pub fn of(typed: &CameraArgs, view: &ViewArgs, frames: &mut Frames) -> Result<Self> {
         let up = frames.up();
-        let mut around = Surroundings {
-            own: &[],
-            framing: &mut || frames.framing(),
-            ring: RENDER_RING,
-            size: view.size(),
-            up,
-        };
+        Self::within(typed, view, up, &mut || frames.framing())
+    }
+
+    /// The viewer of a file of cameras, which is where it is whatever it looks at; `None` of others. What is
+    /// wrong with them before any scene is refused: asked before the work that makes one.
+    ///
+    /// # Errors
+    /// As [`Watching::of`].
+    pub(crate) fn of_file(typed: &CameraArgs, view: &ViewArgs) -> Result<Option<Self>> {
+        // What an eye without a target looks at is in the middle of the scene.
+        if typed.eye.is_some() && typed.target.is_none() {
+            return Ok(None);
+        }
+        let up = Up::default();
+        let found = Self::within(typed, view, up, &mut || Ok(Framing::of_positions(&[], up)))?;
+        Ok(typed.cameras.is_some().then_some(found))
+    }
+
+    /// The viewer in a scene that lies as `framing` says, with `up` up.
+    fn within(
+        typed: &CameraArgs,
+        view: &ViewArgs,
+        up: Up,
+        framing: &mut dyn FnMut() -> Result<Framing>,
+    ) -> Result<Self> {
+        let mut around = Surroundings { own: &[], framing, ring: RENDER_RING, size: view.size(), up };
         let found = viewpoints(typed, view, &mut around)?;
         let (cameras, description) = match found.showing {
             Showing::PlayAlong => (found.views.len(), found.description.clone()),
@@ -80,5 +99,47 @@ impl Watching {
             images.append(&mut evaluator::renders(content, &[*one], camera, settings, &backend)?);
         }
         Ok(images)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::args::{Cli, Verb};
+
+    /// The viewer of a file that is typed after `dgs stream`.
+    fn of_file(typed: &[&str]) -> Result<Option<Watching>> {
+        let typed = [&["dgs", "stream", "none.dgs"], typed].concat();
+        let Ok(Cli { verb: Verb::Stream(args), .. }) = Cli::try_parse_from(&typed) else {
+            panic!("{typed:?}")
+        };
+        Watching::of_file(&args.cameras, &args.view)
+    }
+
+    #[test]
+    fn what_no_scene_is_seen_by_is_refused_before_there_is_one() {
+        for (typed, says) in [
+            (&["--cameras", "nofile.json"][..], "nofile.json"),
+            (&["--eye", "1,1,1", "--target", "1,1,1"], "--eye, --target, --up: look_at: "),
+            (&["--target", "1,1,1"], "--target is for --eye or --turntable"),
+            (&["--turntable", "3", "--camera", "3"], "--camera"),
+        ] {
+            let error = format!("{:#}", of_file(typed).unwrap_err());
+            assert!(error.contains(says), "{typed:?}: {error}");
+        }
+        for typed in
+            [&["--eye", "0,0,0"][..], &["--eye", "0,1,0", "--target", "0,0,0"], &["--turntable", "3"]]
+        {
+            assert!(of_file(typed).unwrap().is_none(), "{typed:?}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("transforms.json");
+        let text = r#"{"camera_angle_x": 0.8, "w": 8, "h": 6, "frames": [{"file_path": "a",
+            "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]}]}"#;
+        std::fs::write(&path, text).unwrap();
+        let found = of_file(&["--cameras", path.to_str().unwrap()]).unwrap().unwrap();
+        assert_eq!(found.camera(0).width(), 8);
     }
 }

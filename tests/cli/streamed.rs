@@ -94,3 +94,33 @@ fn a_stream_is_sent_over_a_described_link() {
         assert!(said.contains(words), "{words}: {said}");
     }
 }
+
+/// Encoding and measuring take minutes; here there is not even a scene.
+#[test]
+fn what_a_scene_would_be_encoded_for_in_vain_is_refused_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    for (typed, says) in [
+        (&["--trace", "nofile"][..], "nofile: "),
+        (&["--delay-trace", "nofile"], "nofile: "),
+        (&["--impair", "trace=nofile"], "--impair: \"nofile\" is no trace that can be used"),
+        (&["--scale", "1e9"], "--scale 1000000000.0: bursty"),
+        (&["--transport", "quic", "--controller", "bbr-model"], "quic: controller is bbr-model; over quinn"),
+        (
+            &["--impair", "rate=1mbit", "--transport", "quic", "--controller", "bbr-paper"],
+            "is bbr-paper; over",
+        ),
+        (&["--cameras", "nofile.json"], "nofile.json: cannot read"),
+        (&["--eye", "1,1,1", "--target", "1,1,1"], "--eye, --target, --up: look_at: "),
+    ] {
+        let text = refused(at, &[&["stream", "none"], typed].concat());
+        assert!(text.contains(says), "{typed:?}: {text}");
+    }
+    // A viewer of a file is the one that is watched.
+    let text = r#"{"camera_angle_x": 0.8, "w": 8, "h": 6, "frames": [{"file_path": "a",
+        "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]}]}"#;
+    std::fs::write(at.join("transforms.json"), text).unwrap();
+    ok(at, &["encode", "synth:figure:1000:2", "--out", "a.dgs", "--pictures", "0"]);
+    let text = ok(at, &["stream", "a.dgs", "--cameras", "transforms.json"]);
+    assert!(text.contains("seen from there: PSNR"), "{text}");
+}

@@ -1,17 +1,24 @@
 //! A server that is killed and comes back is found again at once, and no frame is shown twice.
 
+use emulator_host::PacketGraph;
+
 use super::*;
 
-/// As [`super::stream`] over six seconds: there is time for a server to come back in the middle.
+/// As [`super::stream`] over six seconds: there is time for a server to come back in the middle. Encoded
+/// once, for the first server: the next one only opens its socket, while the client waits for it.
 fn slow() -> ServedStream {
-    let flags =
-        ["dgs", "demo", "--window-frames", "10", "--pictures", "2", "--coarseness", "0.2", "--fps", "5"];
-    let Ok(Cli { verb: Verb::Demo(args), .. }) = Cli::try_parse_from(flags) else { panic!("{flags:?}") };
-    let scene = pipeline::import("synth:cloth:2000:30", &args.source).unwrap().scene;
-    let options = pipeline::encode_options(&args.codec, Protection::STANDARD);
-    let stream = pipeline::encode(&scene, &options, Quiet(true)).unwrap().stream;
-    let graph = pipeline::graph(&stream, &PacketMap::of(&stream).unwrap(), None).unwrap();
-    ServedStream::new("figure", &stream, graph).unwrap()
+    static ENCODED: OnceLock<(Stream, PacketGraph)> = OnceLock::new();
+    let (stream, graph) = ENCODED.get_or_init(|| {
+        let flags =
+            ["dgs", "demo", "--window-frames", "10", "--pictures", "2", "--coarseness", "0.2", "--fps", "5"];
+        let Ok(Cli { verb: Verb::Demo(args), .. }) = Cli::try_parse_from(flags) else { panic!("{flags:?}") };
+        let scene = pipeline::import("synth:cloth:2000:30", &args.source).unwrap().scene;
+        let options = pipeline::encode_options(&args.codec, Protection::STANDARD);
+        let stream = pipeline::encode(&scene, &options, Quiet(true)).unwrap().stream;
+        let graph = pipeline::graph(&stream, &PacketMap::of(&stream).unwrap(), None).unwrap();
+        (stream, graph)
+    });
+    ServedStream::new("figure", stream, graph.clone()).unwrap()
 }
 
 /// Remembers frames; says when three of the second window have been shown.

@@ -2,6 +2,8 @@
 
 use std::fs;
 
+use trainer_host::train::Checkpoint;
+
 use super::{SCENE, dgs, refused};
 
 /// A training that diverges again and again is not complete where it is gone on with: it gives up again.
@@ -15,15 +17,28 @@ fn a_training_that_gave_up_is_not_completed() {
     for named in ["out/checkpoint.dgst: holds what was reached", "--overwrite", "it fell back 3 times"] {
         assert!(error.contains(named), "{error}");
     }
-    let resumed = |args: &[&str]| {
-        let again = ["train", SCENE, "-o", "out", "--resume", "--side", "64", "--cameras", "6"];
-        let output = dgs(at, &[&again[..], args].concat());
+    // Its length is that of its checkpoint until another is typed.
+    let length = || {
+        let checkpoint = Checkpoint::from_bytes(&fs::read(at.join("out/checkpoint.dgst")).unwrap()).unwrap();
+        (checkpoint.steps(), checkpoint.length())
+    };
+    assert_eq!(length(), (0, Some(200)));
+    let failed = |args: &[&str]| {
+        let cameras = ["train", SCENE, "-o", "out", "--side", "64", "--cameras", "6"];
+        let output = dgs(at, &[&cameras[..], args].concat());
         assert_eq!(output.status.code(), Some(1), "{args:?}");
         String::from_utf8(output.stderr).unwrap()
     };
-    let error = resumed(&[]);
-    assert!(error.contains("type --steps or --minutes"), "{error}");
-    let error = resumed(&["--steps", "200"]);
-    assert!(error.contains("diverged at step") && !error.contains("fell back to step"), "{error}");
+    for typed in [&["--steps", "300"][..], &[]] {
+        let error = failed(&[&["--resume"], typed].concat());
+        assert!(error.contains("diverged at step") && !error.contains("fell back to step"), "{error}");
+        assert_eq!(length(), (0, Some(300)));
+    }
     assert!(!at.join("out/scene.dgs").exists());
+    // Of a time nothing says how much of it is over.
+    let hot = ["--options", "hot.json", "--gaussians", "500", "--minutes", "9", "--overwrite"];
+    assert!(failed(&hot).contains("it fell back 3 times"));
+    assert_eq!(length(), (0, None));
+    let error = failed(&["--resume"]);
+    assert!(error.contains("type --steps or --minutes"), "{error}");
 }

@@ -18,6 +18,26 @@ fn a_frame_is_named_by_its_place_in_the_clip() {
     }
 }
 
+/// Frames of a sequence need not have as many Gaussians: a file has those of its own.
+#[test]
+fn a_file_of_one_frame_says_which_and_how_many_gaussians_it_has() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    std::fs::create_dir(at.join("clip")).unwrap();
+    for (name, gaussians) in [("clip/0.ply", 1000), ("clip/1.ply", 1200)] {
+        ok(at, &["convert", &format!("synth:figure:{gaussians}:1"), name]);
+    }
+    for (frame, gaussians) in [("0", 1000), ("1", 1200)] {
+        for name in ["x.ply", "x.glb"] {
+            let said = json(at, &["convert", "clip", name, "--frame", frame]);
+            assert!(said["gaussians"] == gaussians && said["frames"] == 2, "{said}");
+            assert_eq!(said["frame"].to_string(), frame, "{said}");
+        }
+    }
+    let said = json(at, &["convert", "clip", "all"]);
+    assert!(said["gaussians"] == 1200 && said["frame"].is_null(), "{said}");
+}
+
 #[test]
 fn a_pattern_of_names_is_refused_before_the_work() {
     let folder = tempfile::tempdir().unwrap();

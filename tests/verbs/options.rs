@@ -76,10 +76,12 @@ fn options_that_mean_nothing_are_named() {
     assert!(text.contains("being for --profile dgs1: --block-len, --packet-bytes"), "{text}");
     // One frame's digest is another than all frames', and there must be such a frame.
     ok(at, &["encode", scene, "-o", "a.dgs", "--pictures", "0"]);
-    let digest =
-        |args: &[&str]| json(at, &[&["decode", "a.dgs", "--digest"], args].concat())["digest"].clone();
+    let digest = |args: &[&str]| json(at, &[&["decode", "a.dgs", "--digest"], args].concat());
     let (all, one, other) = (digest(&[]), digest(&["--frame", "1"]), digest(&["--frame", "2"]));
-    assert!(all != one && one != other, "{all} {one} {other}");
+    let is_same = |a: &Value, b: &Value| a["digest"] == b["digest"];
+    assert!(!is_same(&all, &one) && !is_same(&one, &other), "{all} {one} {other}");
+    let of = [&all, &one, &other].map(|said| said["digest_frame"].as_u64());
+    assert!(all["digest_frame"].is_null() && of == [None, Some(1), Some(2)], "{of:?}");
     for past in ["99", "4294967295"] {
         let text = stopped(at, &["decode", "a.dgs", "--digest", "--frame", past], 1);
         assert!(text.contains(&format!("--frame is {past}; 0 to 2 are allowed")), "{text}");
@@ -183,6 +185,12 @@ fn quality_is_of_what_is_lossy() {
     let text = render("a.gif", &["--rate", "30"]);
     assert!(text.contains("pictures stay for 3 or 4 of them"), "{text}");
     assert!(!render("a.gif", &["--rate", "25"]).contains("hundredths"));
+    let text = stopped(at, &["render", "synth:figure:1000:3", "-o", "slow.gif", "--rate", "0.001"], 1);
+    assert!(
+        text.contains("slow.gif: found 0.001 frames per second; 0.001526 to 10000 are allowed"),
+        "{text}"
+    );
+    assert!(!at.join("slow.gif").exists());
     stopped(at, &["render", "synth:figure:1000:3", "-o", "a.jpg", "--quality", "0"], 64);
 }
 

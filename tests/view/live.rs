@@ -207,8 +207,8 @@ fn the_page_plays_what_is_still_being_written() {
     let Some(mut page) = Page::blank_alone() else { return };
     let bytes = served::encoded("synth:figure:1000:30", &["--window-frames", "10", "--pictures", "2"]);
     let live = served::Live::growing(&bytes);
-    // Time for the server to read it.
-    std::thread::sleep(std::time::Duration::from_secs(2));
+    // Time for the server to read it, on a busy machine too.
+    std::thread::sleep(std::time::Duration::from_secs(5));
     page.play(&format!("{}?transport=live&pixel-ratio=0.25&paused", live.page), SIDE / 4);
     // The third window of ten frames.
     page.browser.wait(PAGE_TIMEOUT_S, "player.session.frame === 20").unwrap();
@@ -239,7 +239,7 @@ fn a_server_that_comes_back_is_found_again() {
         )
         .unwrap();
     let gone = format!("{MESSAGE} === 'The server is gone; trying again'");
-    let mut live = served::Live::start(&[]);
+    let mut live = served::Live::start(&["--idle", "120"]);
     page.play(&format!("{}?transport=live&pixel-ratio=0.25&paused", live.page), SIDE / 4);
     page.run("player.currentTime = 0.4, player.session.turn(40, 8, 256), 0");
     page.run("globalThis.old = player.session, globalThis.view = String(player.view), 0");
@@ -276,6 +276,31 @@ fn a_server_that_comes_back_is_found_again() {
         live = served::Live::at(&address);
         page.play(&format!("{}?transport=live&pixel-ratio=0.25&paused", live.page), SIDE / 4);
     }
+    live.stop();
+    // What a browser says of servers that are not there.
+    page.browser.complaints.retain(|complaint| !complaint.contains("net::ERR_"));
+    page.close();
+}
+
+/// A file needs fewer round trips than a session, and is asked for again and again where a session is not: it
+/// must not win because a server was away.
+#[test]
+fn a_page_is_live_again_after_its_server_was_gone() {
+    let Some(mut page) = Page::blank_alone() else { return };
+    let live = served::Live::start(&["--idle", "120"]);
+    page.play(&format!("{}?pixel-ratio=0.25&paused", live.page), SIDE / 4);
+    page.browser.wait(PAGE_TIMEOUT_S, "player.dataset.transport === 'live'").unwrap();
+    page.run("globalThis.old = player.session, 0");
+    let address = live.address();
+    live.stop();
+    let gone = format!("{MESSAGE} === 'The server is gone; trying again'");
+    page.browser.wait(PAGE_TIMEOUT_S, &gone).unwrap();
+    // Longer than a pause: what is asked for again and again is under way.
+    std::thread::sleep(std::time::Duration::from_millis(1200));
+    let live = served::Live::at(&address);
+    page.browser.wait(PAGE_TIMEOUT_S, &format!("player.session !== old && {MESSAGE} === ''")).unwrap();
+    assert_eq!(page.run(&format!("[player.dataset.transport, {REMEMBERED}].join()")), "live,live");
+    page.browser.go("about:blank").unwrap();
     live.stop();
     // What a browser says of servers that are not there.
     page.browser.complaints.retain(|complaint| !complaint.contains("net::ERR_"));

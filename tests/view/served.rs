@@ -108,6 +108,9 @@ pub struct Live {
     _folder: tempfile::TempDir,
 }
 
+/// For pages that are held up at their first picture: a server must not think them gone.
+const PATIENT: [&str; 2] = ["--idle", "120"];
+
 /// A scene as `dgs encode` encodes it with `flags`.
 pub fn encoded(scene: &str, flags: &[&str]) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
@@ -127,7 +130,7 @@ impl Live {
 
     /// At the `address` of one that was stopped.
     pub fn at(address: &str) -> Self {
-        Self::serving("small.dgs", address, &[], &[])
+        Self::serving("small.dgs", address, &PATIENT, &[])
     }
 
     /// What it listens on.
@@ -137,7 +140,7 @@ impl Live {
 
     /// Of a stream that is still being written: `bytes` so far.
     pub fn growing(bytes: &[u8]) -> Self {
-        Self::serving("-", "127.0.0.1:0", &[], bytes)
+        Self::serving("-", "127.0.0.1:0", &PATIENT, bytes)
     }
 
     fn serving(input: &str, listen: &str, flags: &[&str], written: &[u8]) -> Self {

@@ -47,6 +47,7 @@ pub use model::Model;
 pub use options::{DensityControl, Finish, OptionsError, Rates, Schedule, TrainOptions};
 pub use pixel_mask::PixelMask;
 pub use reduction::Trimmed;
+pub(crate) use reduction::trimmed;
 pub use step_report::StepReport;
 pub use trainer::Trainer;
 pub use views::{

@@ -10,7 +10,7 @@ use codec_core::{
 };
 use trainer_host::{
     Epoch, Scene, Track,
-    encode::{EncodeOptions, Encoded, encode},
+    encode::{EncodeOptions, Encoded, cluster::ClusterOptions, encode},
     import::{
         Limits,
         synth::{self, SynthKind},
@@ -95,6 +95,27 @@ fn the_complete_state_is_close_to_the_source() {
                 assert!(e[0] < 0.01 && e[1] < 0.01 && e[2] < 0.02 && e[3] < shape, "{e:?}");
             }
         }
+    }
+}
+
+/// Where no vectors of a basis are left to code motion with, tracks have all of it.
+#[test]
+fn clusters_of_one_gaussian_move_without_a_basis() {
+    let figure = synth::SynthOptions {
+        kind: SynthKind::Figure,
+        gaussians: 300,
+        frames: 30,
+        frames_per_second: 30.0,
+        seed: 7,
+    };
+    let scene = synth::make(&figure, &Limits::default()).unwrap();
+    let cluster = ClusterOptions { max_gaussians: 1, ..ClusterOptions::default() };
+    let lone = EncodeOptions { cluster, rank: 0, pictures: 0, ..EncodeOptions::default() };
+    let stream = encoded(&scene, &lone);
+    for frame in [0, 10, 20, 29] {
+        let e = errors(&scene, &stream, frame);
+        println!("frame {frame}: {e:.5?}");
+        assert!(e[0] < 0.01, "frame {frame}: {e:?}");
     }
 }
 

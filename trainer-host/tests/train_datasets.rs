@@ -58,7 +58,8 @@ fn faults_are_named_by_file_and_field() {
     let fresh = folder();
     fs::remove_file(fresh.path().join("train/r_1.png")).unwrap();
     let text = refusal(fresh.path());
-    assert!(text.contains("file_path is ./train/r_1") && text.contains(".jpeg"), "{text}");
+    assert!(text.contains("transforms_train.json: frame 1's file_path is ./train/r_1"), "{text}");
+    assert!(text.contains(".jpeg"), "{text}");
 
     fs::write(fresh.path().join("train/r_1.png"), b"not an image").unwrap();
     assert!(refusal(fresh.path()).contains("r_1.png: image codec"));
@@ -88,6 +89,11 @@ fn faults_are_named_by_file_and_field() {
     write_split(fresh.path(), "train", &[]);
     let text = refusal(fresh.path());
     assert!(text.contains("transforms_train.json: frames is empty; at least 1 to train on"), "{text}");
+
+    let nameless = format!("{{\"time\": 0.5, \"transform_matrix\": {MATRIX}}}");
+    write_split(fresh.path(), "train", &[frame("./train/r_0", 0.5, MATRIX), nameless]);
+    let text = refusal(fresh.path());
+    assert!(text.contains("transforms_train.json: frame 1's file_path is absent; "), "{text}");
 
     let empty = tempfile::tempdir().unwrap();
     let text = refusal(empty.path());
@@ -178,6 +184,79 @@ fn masks_of_frames_say_which_pixels_count() {
     assert!(refusal(folder.path()).contains("mask.png"), "{}", refusal(folder.path()));
 }
 
+/// One mask that leaves nothing is of a photograph; all of them are of the training.
+#[test]
+fn masks_that_leave_no_pixel_to_train_on_are_refused() {
+    let folder = nerfstudio(
+        r#""train_filenames": ["r_1.png"], "test_filenames": ["r_2.png"],"#,
+        r#""mask_path": "mask.png", "#,
+    );
+    let mut image = image::GrayImage::new(16, 12);
+    let mask = folder.path().join("mask.png");
+    image.save(&mask).unwrap();
+    let text = refusal(folder.path());
+    let named = "mask.png: mask, as those of all 1 photographs to train on, is without a pixel that counts";
+    assert!(text.contains(named) && text.contains(" at 16 x 12; at least 1 is needed"), "{text}");
+    image.put_pixel(3, 2, image::Luma([255]));
+    image.save(&mask).unwrap();
+    assert!(dataset::read(folder.path()).is_ok());
+    let error = dataset::read_reduced(folder.path(), 8).unwrap_err().to_string();
+    assert!(error.contains("without a pixel that counts at 8 x 6"), "{error}");
+
+    let others = nerfstudio("", r#""mask_path": "mask.png", "#);
+    image::GrayImage::new(16, 12).save(others.path().join("mask.png")).unwrap();
+    assert_eq!(dataset::read(others.path()).unwrap().train.photographs().len(), 4);
+}
+
+#[test]
+fn a_jpeg_that_is_cut_off_is_refused_by_name() {
+    let folder = nerfstudio("", "");
+    let text = fs::read_to_string(folder.path().join("transforms.json")).unwrap();
+    fs::write(folder.path().join("transforms.json"), text.replace("r_2.png", "r_2.jpg")).unwrap();
+    let path = folder.path().join("r_2.jpg");
+    image::RgbImage::from_fn(16, 12, |x, y| image::Rgb([(x * y) as u8, 9, y as u8])).save(&path).unwrap();
+    assert!(dataset::read(folder.path()).is_ok());
+    let bytes = fs::read(&path).unwrap();
+    fs::write(&path, &bytes[..bytes.len() - 20]).unwrap();
+    let text = refusal(folder.path());
+    assert!(text.contains("r_2.jpg: image codec: cut off: "), "{text}");
+}
+
+/// A reconstruction of COLMAP as text: images of these names, 32 x 24 pixels, of a camera of 64 x 48.
+fn colmap(names: &[&str]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir_all(folder.path().join("sparse/0")).unwrap();
+    fs::create_dir(folder.path().join("images")).unwrap();
+    let write = |name: &str, text: &str| fs::write(folder.path().join("sparse/0").join(name), text).unwrap();
+    write("cameras.txt", "1 PINHOLE 64 48 60 60 32 24\n");
+    let image = |(index, name): (usize, &&str)| {
+        image::RgbImage::new(32, 24).save(folder.path().join("images").join(name)).unwrap();
+        format!("{index} 1 0 0 0 0 0 {} 1 {name}\n\n", index + 4)
+    };
+    write("images.txt", &names.iter().enumerate().map(image).collect::<String>());
+    write("points3D.txt", "1 0 0 0 255 0 51 0.3\n");
+    folder
+}
+
+#[test]
+fn a_colmap_dataset_is_read_and_refused_by_file_and_name() {
+    let folder = colmap(&["a.png", "b.png", "c.png"]);
+    let read = dataset::read(folder.path()).unwrap();
+    assert_eq!((read.train.photographs().len(), read.test.photographs().len()), (2, 1));
+    assert_eq!(read.train.photographs()[0].camera.intrinsics().fx, 30.0);
+    // One row less is no copy of what the camera saw.
+    image::RgbImage::new(32, 23).save(folder.path().join("images/b.png")).unwrap();
+    let text = refusal(folder.path());
+    assert!(text.contains("b.png: size is 32 x 23, of a camera of 64 x 48; that of its camera"), "{text}");
+    fs::write(folder.path().join("sparse/0/points3D.txt"), "# one\n1 0 0 nan 255 0 51 0.3\n").unwrap();
+    image::RgbImage::new(32, 24).save(folder.path().join("images/b.png")).unwrap();
+    let text = refusal(folder.path());
+    assert!(text.contains("points3D.txt: line 2: position is 0 0 nan; "), "{text}");
+
+    let text = refusal(colmap(&["a.png", "b.png", "a.png"]).path());
+    assert!(text.contains("images.txt: name of two images is a.png; each name once"), "{text}");
+}
+
 /// Photographs that are reduced as they are read are those that are read and reduced, and test photographs
 /// may be twice as large.
 #[test]
@@ -187,9 +266,9 @@ fn large_photographs_are_reduced_as_they_are_read() {
     let noise =
         image::RgbaImage::from_fn(96, 72, |x, y| image::Rgba([(x * y) as u8, (7 * x) as u8, y as u8, 255]));
     (0..4).for_each(|k| noise.save(folder.path().join(format!("r_{k}.png"))).unwrap());
-    let (whole, (reduced, trimmed)) =
+    let (whole, (reduced, report)) =
         (dataset::read(folder.path()).unwrap(), dataset::read_reduced(folder.path(), 24).unwrap());
-    assert_eq!((whole.test_scale, reduced.test_scale, trimmed), (1, 2, None));
+    assert_eq!((whole.test_scale, reduced.test_scale, report.trimmed), (1, 2, None));
     for (whole, reduced, size) in [
         (&whole.train.photographs()[1], &reduced.train.photographs()[1], (24, 18)),
         (&whole.test.photographs()[0], &reduced.test.photographs()[0], (48, 36)),
@@ -198,12 +277,12 @@ fn large_photographs_are_reduced_as_they_are_read() {
         assert_eq!((reduced.camera.width(), reduced.camera.height()), size);
         assert!((reduced.camera.intrinsics().fx * 96.0 / f64::from(size.0) - 120.0).abs() < 1e-9);
     }
-    let (cut, trimmed) = dataset::read_reduced(folder.path(), 41).unwrap();
+    let (cut, report) = dataset::read_reduced(folder.path(), 41).unwrap();
     assert_eq!(
         cut.train.photographs()[0].photograph,
         whole.train.photographs()[0].photograph.resized(32, 24).unwrap()
     );
-    assert_eq!((cut.test_scale, trimmed), (1, None), "no whole number is half of three");
+    assert_eq!((cut.test_scale, report.trimmed), (1, None), "no whole number is half of three");
 }
 
 /// A header that claims what no file of its length holds is refused before memory is taken.
@@ -287,6 +366,72 @@ fn a_panoptic_dataset_is_read_camera_by_camera_and_refused_by_frame() {
         fs::write(&path, text).unwrap();
         let text = refusal(folder.path());
         assert!(text.contains("train_meta.json: fn is empty; at least 1 photograph"), "{text}");
+    }
+}
+
+/// A meta file of the Panoptic layout: so many frames of one camera, of images of this name.
+fn meta(frames: usize, name: &dyn Fn(usize) -> String) -> String {
+    let list = |of: &dyn Fn(usize) -> String| (0..frames).map(of).collect::<Vec<_>>().join(",");
+    format!(
+        r#"{{"w":16,"h":12,"k":[{}],"w2c":[{}],"fn":[{}]}}"#,
+        list(&|_| "[[[20,0,8],[0,20,6],[0,0,1]]]".to_owned()),
+        list(&|_| "[[[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]]".to_owned()),
+        list(&|frame| format!("[{:?}]", name(frame)))
+    )
+}
+
+#[test]
+fn frames_for_testing_are_at_the_times_of_those_for_training() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for camera in ["ims/0", "ims/1"] {
+        fs::create_dir_all(at(camera)).unwrap();
+        (0..6).for_each(|frame| write_png(&at(&format!("{camera}/{frame}.png")), 16, 12));
+    }
+    fs::write(at("train_meta.json"), meta(5, &|frame| format!("1/{frame}.png"))).unwrap();
+    let test = |frames: usize| {
+        fs::write(at("test_meta.json"), meta(frames, &|frame| format!("0/{frame}.png"))).unwrap();
+    };
+    test(3);
+    let read = dataset::read(folder.path()).unwrap();
+    let times = |views: &[trainer_host::train::PosedPhotograph]| -> Vec<f32> {
+        views.iter().map(|view| view.time).collect()
+    };
+    assert_eq!(times(read.train.photographs()), [0.0, 0.25, 0.5, 0.75, 1.0]);
+    assert_eq!(times(read.test.photographs()), [0.0, 0.25, 0.5]);
+    // As cameras to render from, they are at the same times.
+    let cameras = dataset::panoptic_cameras(&at("test_meta.json")).unwrap();
+    assert_eq!(cameras.iter().map(|view| view.time).collect::<Vec<_>>(), [Some(0.0), Some(0.25), Some(0.5)]);
+    test(6);
+    let text = refusal(folder.path());
+    let named = "test_meta.json: fn is 6 frames long, where train_meta.json has 5; at most as many";
+    assert!(text.contains(named), "{text}");
+    // Alone it is a clip of its own.
+    fs::rename(at("train_meta.json"), at("other.json")).unwrap();
+    let cameras = dataset::panoptic_cameras(&at("test_meta.json")).unwrap();
+    assert_eq!((cameras.len(), cameras[1].time), (6, Some(0.2)));
+}
+
+/// Such a name would make a photograph its own mask.
+#[test]
+fn images_outside_of_their_folder_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for inside in ["ims/1", "seg/1"] {
+        fs::create_dir_all(folder.path().join(inside)).unwrap();
+        (0..2).for_each(|frame| write_png(&folder.path().join(format!("{inside}/{frame}.png")), 16, 12));
+    }
+    let write = |inside: &str| {
+        let text = meta(2, &|frame| format!("{inside}1/{frame}.png"));
+        fs::write(folder.path().join("train_meta.json"), text).unwrap();
+    };
+    write("./");
+    assert!(dataset::read(folder.path()).is_ok());
+    let absolute = format!("{}/ims/", folder.path().display());
+    for outside in [absolute.as_str(), "../ims/"] {
+        write(outside);
+        let text = refusal(folder.path());
+        let named = format!("train_meta.json: fn is {outside}1/0.png; the path of an image within ims");
+        assert!(text.contains(&named), "{text}");
     }
 }
 

@@ -6,12 +6,17 @@
 //! that distorts (`k1` to `k4`, `p1`, `p2`, or a `camera_model` that is not a pinhole) is refused. Fields
 //! we do not know are skipped. Memory is bounded by the length of the text.
 
-use serde::Deserialize;
+use std::fmt;
 
-use super::{Camera, CameraError, FIELD_OF_VIEW, Intrinsics, View, in_range};
+use serde::{
+    Deserialize, Deserializer,
+    de::{DeserializeSeed, Error, IgnoredAny, MapAccess, SeqAccess, Visitor},
+};
+
+use super::{Camera, CameraError, FIELD_OF_VIEW, Intrinsics, MAX_SIDE, View, in_range};
 
 /// What the file or one of its frames says of the image plane and the lens.
-#[derive(Clone, Default, Deserialize)]
+#[derive(Clone, Default)]
 struct Optics {
     camera_angle_x: Option<f64>,
     camera_angle_y: Option<f64>,
@@ -33,21 +38,193 @@ struct Optics {
 /// Models without distortion, or whose parameters say how much there is.
 const MODELS: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "RADIAL", "SIMPLE_RADIAL"];
 
-#[derive(Deserialize)]
 struct Frame {
-    #[serde(default)]
+    /// Empty where there is none.
     file_path: String,
     transform_matrix: [[f64; 4]; 4],
     time: Option<f64>,
-    #[serde(flatten)]
     optics: Optics,
 }
 
-#[derive(Deserialize)]
 struct Transforms {
     frames: Vec<Frame>,
-    #[serde(flatten)]
     optics: Optics,
+}
+
+// Errors are to name the field and the frame, and to stand where it does: what serde derives for fields that
+// two objects share does neither.
+
+impl<'de> Deserialize<'de> for Transforms {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Fields;
+        impl<'de> Visitor<'de> for Fields {
+            type Value = Transforms;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object with frames")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut object: A) -> Result<Transforms, A::Error> {
+                let (mut frames, mut optics) = (None, Optics::default());
+                while let Some(key) = object.next_key::<String>()? {
+                    if key == "frames" {
+                        set::<_, A::Error>(&mut frames, &key, object.next_value_seed(Frames)?)?;
+                    } else if !optics.take(&key, &mut object)? {
+                        object.next_value::<IgnoredAny>()?;
+                    }
+                }
+                let frames = frames.ok_or_else(|| A::Error::missing_field("frames"))?;
+                Ok(Transforms { frames, optics })
+            }
+        }
+        deserializer.deserialize_map(Fields)
+    }
+}
+
+/// The list of frames.
+struct Frames;
+
+impl<'de> DeserializeSeed<'de> for Frames {
+    type Value = Vec<Frame>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Vec<Frame>, D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Frames {
+    type Value = Vec<Frame>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a list of frames")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Vec<Frame>, A::Error> {
+        let mut frames = Vec::new();
+        loop {
+            let number = frames.len();
+            let next = list.next_element::<Frame>();
+            match next.map_err(|error| A::Error::custom(format_args!("frame {number}: {error}")))? {
+                Some(frame) => frames.push(frame),
+                None => return Ok(frames),
+            }
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Frame {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Fields;
+        impl<'de> Visitor<'de> for Fields {
+            type Value = Frame;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object with file_path and transform_matrix")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut object: A) -> Result<Frame, A::Error> {
+                let (mut path, mut matrix, mut time, mut optics) = (None, None, None, Optics::default());
+                while let Some(key) = object.next_key::<String>()? {
+                    match key.as_str() {
+                        "file_path" => set::<_, A::Error>(&mut path, &key, named(&mut object, &key)?)?,
+                        "transform_matrix" => {
+                            set::<_, A::Error>(&mut matrix, &key, named(&mut object, &key)?)?;
+                        }
+                        "time" => set_number(&mut time, &key, &mut object)?,
+                        _ if optics.take(&key, &mut object)? => {}
+                        _ => {
+                            object.next_value::<IgnoredAny>()?;
+                        }
+                    }
+                }
+                let transform_matrix = matrix.ok_or_else(|| A::Error::missing_field("transform_matrix"))?;
+                Ok(Frame { file_path: path.unwrap_or_default(), transform_matrix, time, optics })
+            }
+        }
+        deserializer.deserialize_map(Fields)
+    }
+}
+
+/// Fills the field called `key`, which is to be there once.
+fn set<T, E: Error>(field: &mut Option<T>, key: &str, value: T) -> Result<(), E> {
+    match field.replace(value) {
+        None => Ok(()),
+        Some(_) => Err(E::custom(format_args!("{key} is there twice; once is allowed"))),
+    }
+}
+
+/// The same with the number that comes next in `object`; null is none.
+fn set_number<'de, A: MapAccess<'de>>(
+    field: &mut Option<f64>,
+    key: &str,
+    object: &mut A,
+) -> Result<(), A::Error> {
+    match object.next_value_seed(Number(key))? {
+        Some(number) => set(field, key, number),
+        None => Ok(()),
+    }
+}
+
+/// The value that comes next in `object`, that of `key`.
+fn named<'de, T: Deserialize<'de>, A: MapAccess<'de>>(object: &mut A, key: &str) -> Result<T, A::Error> {
+    object.next_value().map_err(|error| A::Error::custom(format_args!("{key}: {error}")))
+}
+
+/// A number or null, as the value of the field of this name.
+struct Number<'k>(&'k str);
+
+impl Number<'_> {
+    fn refused<E: Error>(&self, found: impl fmt::Display) -> E {
+        E::custom(format_args!("{} is {found}; a number is allowed", self.0))
+    }
+}
+
+impl<'de> DeserializeSeed<'de> for Number<'_> {
+    type Value = Option<f64>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Option<f64>, D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Number<'_> {
+    type Value = Option<f64>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "a number as {}", self.0)
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<Option<f64>, E> {
+        Ok(None)
+    }
+
+    fn visit_f64<E: Error>(self, number: f64) -> Result<Option<f64>, E> {
+        Ok(Some(number))
+    }
+
+    fn visit_u64<E: Error>(self, number: u64) -> Result<Option<f64>, E> {
+        Ok(Some(number as f64))
+    }
+
+    fn visit_i64<E: Error>(self, number: i64) -> Result<Option<f64>, E> {
+        Ok(Some(number as f64))
+    }
+
+    fn visit_bool<E: Error>(self, found: bool) -> Result<Option<f64>, E> {
+        Err(self.refused(found))
+    }
+
+    fn visit_str<E: Error>(self, found: &str) -> Result<Option<f64>, E> {
+        Err(self.refused(format_args!("{found:?}")))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, _: A) -> Result<Option<f64>, A::Error> {
+        Err(self.refused("a list"))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, _: A) -> Result<Option<f64>, A::Error> {
+        Err(self.refused("an object"))
+    }
 }
 
 /// Reads a `transforms_*.json`: its frames in file order.
@@ -59,10 +236,11 @@ struct Transforms {
 /// Text that is not such JSON (with line and column), a size nobody gave, a lens that distorts, or a frame
 /// whose camera is not one (with the frame's name).
 pub fn read(bytes: &[u8], size: Option<(u32, u32)>) -> Result<Vec<View>, CameraError> {
-    let file: Transforms = serde_json::from_slice(bytes).map_err(|e| CameraError::Json {
-        line: e.line(),
-        column: e.column(),
-        message: e.to_string(),
+    let file: Transforms = serde_json::from_slice(bytes).map_err(|error| {
+        let (line, column, text) = (error.line(), error.column(), error.to_string());
+        // It ends with the place, which is said before it.
+        let message = text.strip_suffix(&format!(" at line {line} column {column}")).unwrap_or(&text);
+        CameraError::Json { line, column, message: message.to_owned() }
     })?;
     let view = |(index, frame): (usize, Frame)| {
         let optics = frame.optics.or(&file.optics);
@@ -80,6 +258,35 @@ pub fn read(bytes: &[u8], size: Option<(u32, u32)>) -> Result<Vec<View>, CameraE
 }
 
 impl Optics {
+    /// Reads the value that comes next in `object`, if `key` is that of a field; otherwise `false`.
+    fn take<'de, A: MapAccess<'de>>(&mut self, key: &str, object: &mut A) -> Result<bool, A::Error> {
+        let field = match key {
+            "camera_angle_x" => &mut self.camera_angle_x,
+            "camera_angle_y" => &mut self.camera_angle_y,
+            "w" => &mut self.w,
+            "h" => &mut self.h,
+            "fl_x" => &mut self.fl_x,
+            "fl_y" => &mut self.fl_y,
+            "cx" => &mut self.cx,
+            "cy" => &mut self.cy,
+            "k1" => &mut self.k1,
+            "k2" => &mut self.k2,
+            "k3" => &mut self.k3,
+            "k4" => &mut self.k4,
+            "p1" => &mut self.p1,
+            "p2" => &mut self.p2,
+            "camera_model" => {
+                if let Some(model) = named::<Option<String>, A>(object, key)? {
+                    set::<_, A::Error>(&mut self.camera_model, key, model)?;
+                }
+                return Ok(true);
+            }
+            _ => return Ok(false),
+        };
+        set_number(field, key, object)?;
+        Ok(true)
+    }
+
     /// Own numbers first, then those of `other`. Angles and focal lengths say the same: where there is one of
     /// them, none is taken from `other`.
     fn or(self, other: &Self) -> Self {
@@ -125,14 +332,15 @@ impl Optics {
     }
 
     fn intrinsics(&self, size: Option<(u32, u32)>) -> Result<Intrinsics, CameraError> {
-        let side = |own: Option<f64>, given: Option<u32>| match own {
-            // Anything else, NaN included, becomes a side the camera's constructor refuses by name.
-            Some(v) if (1.0..=1e6).contains(&v) => Ok(v as u32),
-            Some(_) => Ok(0),
+        let side = |field, own: Option<f64>, given: Option<u32>| match own {
+            Some(own) => {
+                in_range(field, own, (1.0, f64::from(MAX_SIDE)))?;
+                Ok(own as u32)
+            }
             None => given.ok_or(CameraError::SizeUnknown),
         };
-        let width = side(self.w, size.map(|s| s.0))?;
-        let height = side(self.h, size.map(|s| s.1))?;
+        let width = side("w", self.w, size.map(|s| s.0))?;
+        let height = side("h", self.h, size.map(|s| s.1))?;
         let focal = |own: Option<f64>, field, angle: Option<f64>, side: u32| match (own, angle) {
             (None, Some(angle)) => {
                 in_range(field, angle, FIELD_OF_VIEW)?;
@@ -197,6 +405,39 @@ mod tests {
             let error = read(text.as_bytes(), Some((8, 8))).unwrap_err().to_string();
             assert!(error.contains(&format!("camera_angle_x (radians) is {angle}; ")), "{error}");
         }
+    }
+
+    #[test]
+    fn values_of_another_kind_are_named_where_they_stand() {
+        let refused = |from: &str, to: &str| {
+            read(TEXT.replacen(from, to, 1).as_bytes(), Some((8, 8))).unwrap_err().to_string()
+        };
+        for (to, says) in [
+            (r#"{"w": "64","#, r#": w is "64"; a number is allowed"#),
+            (r#"{"cx": [1],"#, "cx is a list; a number is allowed"),
+            (r#"{"k1": {},"#, "k1 is an object; a number is allowed"),
+            (r#"{"h": true,"#, "h is true; a number is allowed"),
+            (r#"{"w": 8, "w": 9,"#, "w is there twice; once is allowed"),
+            (r#"{"camera_model": 3,"#, "camera_model: invalid type: integer `3`"),
+            (r#"{"w": 1e9,"#, "./train/r_000: w is 1e9; 1 to 16384 is allowed"),
+            (r#"{"h": 0,"#, "./train/r_000: h is 0; 1 to 16384 is allowed"),
+        ] {
+            let error = refused("{", to);
+            assert!(error.contains(says) && !error.contains(" at line "), "{error}");
+        }
+        for (from, to, place, says) in [
+            ("0.25", "[]", "line 2,", "frame 0: time is a list; a number is allowed"),
+            ("\"w\": 40", "\"w\": \"40\"", "line 4,", "frame 1: w is \"40\"; a number is allowed"),
+            (",[0,0,0,1]]", "]", "line 3,", "frame 0: transform_matrix: invalid length 3"),
+            ("\"b\"", "3", "line 4,", "frame 1: file_path: invalid type: integer `3`"),
+            ("transform_matrix", "matrix", "line 3,", "frame 0: missing field `transform_matrix`"),
+        ] {
+            let error = refused(from, to);
+            assert!(error.starts_with(place) && error.contains(says), "{error}");
+        }
+        let nothing =
+            TEXT.replacen('{', r#"{"w": null, "camera_model": null, "applied_transform": [[1]],"#, 1);
+        assert_eq!(read(nothing.as_bytes(), Some((8, 8))).unwrap()[0].camera.width(), 8);
     }
 
     #[test]

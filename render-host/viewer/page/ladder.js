@@ -58,6 +58,7 @@ export function rungsOf(stream, only) {
  * Plays what the rungs bring until a file is whole, and gives what its run gave, or until `signal` is aborted.
  * What is cut off goes on by the rungs below; once none is left, by all of them again, after a pause that doubles
  * each time, and `gone(failure)` hears of it. Without `gone`, and where nothing has begun yet, that is an error.
+ * A file that waited for a server to come back would win over all that does not: then it is asked for once.
  */
 export async function follow(rungs, { began, gone, signal, ...given }) {
   let [left, pause, hasBegun] = [rungs, FIRST_PAUSE_MS, false];
@@ -66,7 +67,7 @@ export async function follow(rungs, { began, gone, signal, ...given }) {
     [pause, hasBegun] = [FIRST_PAUSE_MS, true];
   };
   while (!signal.aborted) {
-    const tried = climb(left, { ...given, began: note, signal });
+    const tried = climb(left, { ...given, began: note, signal, isFirst: !hasBegun });
     const { name, result, failure } = await tried.catch((failure) => ({ failure }));
     if (signal.aborted) return;
     if (name === "file" && !failure) return result;
@@ -82,9 +83,10 @@ export async function follow(rungs, { began, gone, signal, ...given }) {
 /**
  * Runs the rungs, that one first which was the first before; `began(session, name)` for the first that has a manifest,
  * which ends the others; `switched("streams")` once it asks for media in streams. Resolves with the winner's name and what
- * its run gave once that has ended, or `failure`.
+ * its run gave once that has ended, or `failure`. Only what wins where a visit `isFirst` to climb is remembered: later
+ * the server may have been away for some of them.
  */
-async function climb(rungs, { began, signal, switched, ...given }) {
+async function climb(rungs, { began, signal, switched, isFirst, ...given }) {
   const known = remembered();
   const order = [...rungs].sort((a, b) => (b.name === known) - (a.name === known));
   let winner = null;
@@ -106,7 +108,7 @@ async function climb(rungs, { began, signal, switched, ...given }) {
         if (winner) return session.free();
         winner = chosen;
         tries.filter((other) => other !== chosen).forEach((other) => other.control.abort());
-        if (rungs.length > 1) remember(rung.name);
+        if (isFirst && rungs.length > 1) remember(rung.name);
         await began(session, rung.name);
       };
       const ended = (outcome) => {
@@ -119,7 +121,7 @@ async function climb(rungs, { began, signal, switched, ...given }) {
         if (rungs.length > 1) remember(name);
         switched(name);
       };
-      rung.run({ ...given, began: own, signal: control.signal, switched: changed }).then(
+      rung.run({ ...given, began: own, signal: control.signal, switched: changed, isPatient: isFirst }).then(
         (result) => ended({ result }),
         (failure) => ended({ failure }),
       );

@@ -30,13 +30,14 @@ async function copied(file) {
 /**
  * Fetches `url` and calls `began(session)` as soon as its manifest is there, `came()` with every piece after.
  * Base levels come first; a server without byte ranges sends the whole. Resolves when all is there; errors name `url`.
+ * What fails is tried again, but for the first request where it `isPatient` no more.
  */
-export async function fetchStream(url, { began, came, signal, worker }) {
+export async function fetchStream(url, { began, came, signal, worker, isPatient = true }) {
   const beginWhole = async (bytes) => {
     await began(await naming(url, () => Session.open(bytes, { worker })));
     return "whole";
   };
-  const first = await ask(url, 0, firstBytes(), signal);
+  const first = await (isPatient ? ask(url, 0, firstBytes(), signal) : part(url, 0, firstBytes(), signal));
   checkMagic(first.bytes, url);
   if (first.length === null || first.bytes.length >= first.length) return beginWhole(first.bytes);
   const needed = await naming(url, () => manifestBytes(first.bytes));

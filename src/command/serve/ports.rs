@@ -70,7 +70,9 @@ mod tests {
         let (ports, tries) = opened(&["--listen", "127.0.0.1:0"]);
         let ports = ports.unwrap();
         let page = ports.page.unwrap().0.local_addr().unwrap();
-        assert_eq!((page, tries), (ports.socket.local_addr().unwrap(), 2));
+        // Another program may have taken the page's half of the second number too.
+        assert_eq!(page, ports.socket.local_addr().unwrap());
+        assert!(tries >= 2, "{tries}");
         let (ports, tries) = opened(&["--listen", "127.0.0.1:0", "--no-http"]);
         assert!(ports.unwrap().page.is_none() && tries == 1);
         // A number that was named is the one that is meant.

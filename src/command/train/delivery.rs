@@ -123,12 +123,12 @@ fn unused(args: &Train) -> Vec<&'static str> {
     of_training.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
 }
 
-/// Runs the verb on a scene that is there; updates are made on the backend.
+/// Runs the verb on a scene that is there, of which `said` is known; updates are made on the backend.
 pub(super) fn run(
     args: &Train,
     folder: &Folder,
     scene: &Scene,
-    dataset: &Dataset,
+    (dataset, said): (&Dataset, &[String]),
     (options, backend): (&DeliveryOptions, &Backend),
     stop: &Interruption,
     quiet: Quiet,
@@ -161,7 +161,8 @@ pub(super) fn run(
         folder.stream.display(),
         folder.report.display()
     );
-    let mut notes: Vec<String> = tail_in_words(options).into_iter().collect();
+    let mut notes = said.to_vec();
+    notes.extend(tail_in_words(options));
     let unused = unused(args);
     if !unused.is_empty() {
         let named = unused.join(", ");

@@ -17,19 +17,20 @@ use trainer_host::{
 };
 
 use super::{
-    folder::{Folder, epoch_folder},
+    folder::{Folder, Opened, epoch_folder},
     interruption::Interruption,
     log::Log,
     page::Ended,
     trained::Trained,
     training::{
-        DEFAULT_STEPS, begin, check_length, check_options, fit, options, options_of_file, resumed, with_typed,
+        Begun, DEFAULT_STEPS, begin, check_length, check_options, fit, options, options_of_file, resumed,
+        with_typed,
     },
 };
 use crate::{args::train::Train, files, pipeline::Quiet, progress::Progress};
 
 /// How a training in parts was begun: what `--resume` goes on with.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Plan {
     #[serde(flatten)]
@@ -65,7 +66,7 @@ impl Plan {
     /// A trial that fails, a file that is no plan, or other options than those of the plan.
     pub(super) fn of(
         args: &Train,
-        folder: &Folder,
+        (folder, opened): (&Folder, &Opened),
         scene: &Scene,
         (dataset, rate): (&Dataset, f64),
         stop: &Interruption,
@@ -98,7 +99,7 @@ impl Plan {
             &options,
             SplitOptions { gain_db: args.split, ..SplitOptions::default() },
             &mut |trial| {
-                stop.leave("nothing was written");
+                stop.leave_after("nothing was trained yet", || opened.remove_bare());
                 bar.stage(&format!("trial {trial} of where the clip changes"), 0.0);
             },
         )?;
@@ -117,9 +118,24 @@ impl Plan {
             },
         };
         if plan.is_parted() {
-            files::write(path, serde_json::to_string_pretty(&plan)?.as_bytes())?;
+            plan.write(path)?;
         }
         Ok(Some(plan))
+    }
+
+    fn write(&self, path: &Path) -> Result<()> {
+        files::write(path, serde_json::to_string_pretty(self)?.as_bytes())
+    }
+
+    /// The plan with the length that was typed, if one was: that is what `--resume` goes on with next.
+    fn of_length(&self, args: &Train) -> Self {
+        let mut plan = self.clone();
+        if let Some(steps) = args.steps {
+            (plan.steps, plan.minutes) = (steps, None);
+        } else if args.minutes.is_some() {
+            plan.minutes = args.minutes;
+        }
+        plan
     }
 
     /// Whether the clip has more than one epoch.
@@ -168,10 +184,11 @@ impl Plan {
             let resumed = resumed(&args, &folder)?;
             let options = with_typed(self.options.clone(), &args);
             let (mut trainer, begun) = begin((&args, rate), &folder, resumed, &options, &part, &backend)?;
-            let args = self.timed(args, begun, frames.len() as f64 / dataset.frames as f64);
-            is_complete &= begun >= 1.0;
+            let args = self.timed(args, begun.progress, frames.len() as f64 / dataset.frames as f64);
+            let has_ended = begun.progress >= 1.0;
+            is_complete &= has_ended;
             if let (Some(all), Some(share)) = (typed.steps, args.steps)
-                && begun < 1.0
+                && !has_ended
                 && share <= trainer.steps()
             {
                 bail!(
@@ -180,6 +197,9 @@ impl Plan {
                     out.display(),
                     trainer.steps()
                 );
+            }
+            if typed.resume && !has_ended {
+                self.of_length(typed).write(&Folder::of(&typed.out).epochs)?;
             }
             let mut log =
                 if args.resume { Log::resumed(&folder.log, trainer.steps())? } else { Log::default() };
@@ -196,7 +216,7 @@ impl Plan {
         let (mut trained, log) = whole.context("a plan without epochs")?;
         trained.options.finish.target_bytes = self.target_bytes(typed);
         if is_complete {
-            check_length(typed, trained.steps, 1.0)?;
+            check_length(typed, trained.steps, Begun::COMPLETE)?;
         }
         let ended = Ended { seconds: log.seconds(), interrupted: false };
         Ok(Some((trained, log, ended)))
@@ -302,5 +322,14 @@ mod tests {
         assert_eq!(plan.timed(args, 0.0, 1.0 / 3.0).minutes, None);
         plan.options.finish.target_bytes = 0;
         assert_eq!(first_part(&plan, "").codec.target_bytes, None);
+
+        // What was typed last is what goes on.
+        let length = |typed: &str| {
+            let plan = plan.of_length(&parsed(["scene"].into_iter().chain(typed.split_whitespace())));
+            (plan.steps, plan.minutes)
+        };
+        assert_eq!(length(""), (3000, Some(3.0)));
+        assert_eq!(length("--steps 60"), (60, None));
+        assert_eq!(length("--minutes 9").1, Some(9.0));
     }
 }

@@ -51,13 +51,18 @@ pub(super) fn lpips(path: &Path) -> Result<Lpips> {
     Lpips::from_safetensors(&bytes).with_context(failed)
 }
 
+/// A PSNR for people; a dash where masks leave nothing to compare.
+pub(super) fn decibels(psnr_db: f64) -> String {
+    if psnr_db.is_finite() { format!("{psnr_db:.2}") } else { "–".to_owned() }
+}
+
 /// A line about how well some views agree.
 pub(super) fn figure(what: &str, found: &Evaluation) -> String {
     format!(
-        "  {what:<48} {:.2} dB (worst view {:.2}, foreground {:.2}), SSIM {:.4}, {} x {}, background {:?}\n",
-        found.psnr_db,
-        found.worst_psnr_db,
-        found.foreground_psnr_db,
+        "  {what:<48} {} dB (worst view {}, foreground {}), SSIM {:.4}, {} x {}, background {:?}\n",
+        decibels(found.psnr_db),
+        decibels(found.worst_psnr_db),
+        decibels(found.foreground_psnr_db),
         found.ssim,
         found.size.0,
         found.size.1,

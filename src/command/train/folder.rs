@@ -23,6 +23,13 @@ pub(super) struct Opened {
 
 impl Drop for Opened {
     fn drop(&mut self) {
+        self.remove_bare();
+    }
+}
+
+impl Opened {
+    /// Removes a folder that was made for nothing.
+    pub(super) fn remove_bare(&self) {
         let Some(out) = &self.made else { return };
         let is_bare =
             |entry: std::io::Result<DirEntry>| entry.is_ok_and(|entry| entry.file_name() == ENCODER);

@@ -54,7 +54,13 @@ impl Interruption {
     /// Ends the process if stopping was asked for, with a line about what is left. To be called where nothing
     /// is half written.
     pub(super) fn leave(&self, what_is_left: &str) {
+        self.leave_after(what_is_left, || ());
+    }
+
+    /// The same, with something to do before.
+    pub(super) fn leave_after(&self, what_is_left: &str, last: impl FnOnce()) {
         if self.take() {
+            last();
             eprintln!("interrupted: {what_is_left}");
             leave();
         }

@@ -6,7 +6,11 @@ use anyhow::Result;
 use render_host::Image;
 use trainer_host::train::{self, Dataset, DynamicScene};
 
-use super::{figures::Figure, log::Log, trained::Trained};
+use super::{
+    figures::{Figure, decibels},
+    log::Log,
+    trained::Trained,
+};
 use crate::report::{
     html::{STYLE, data_of_png},
     plot::{Hue, Panel, Plot, Series, Shape, escape},
@@ -114,15 +118,15 @@ impl Page<'_> {
             let lpips = lpips.map_or("–".to_owned(), |lpips| format!("{lpips:.4}"));
             let _ = writeln!(
                 out,
-                "<tr><td>{}</td><td>{} × {}</td><td>{:?}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td>\
+                "<tr><td>{}</td><td>{} × {}</td><td>{:?}</td><td>{}</td><td>{}</td><td>{}</td>\
                  <td>{:.4}</td><td>{flip}</td><td>{lpips}</td></tr>",
                 escape(what),
                 found.size.0,
                 found.size.1,
                 found.background,
-                found.psnr_db,
-                found.worst_psnr_db,
-                found.foreground_psnr_db,
+                decibels(found.psnr_db),
+                decibels(found.worst_psnr_db),
+                decibels(found.foreground_psnr_db),
                 found.ssim
             );
         }

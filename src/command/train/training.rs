@@ -52,6 +52,20 @@ pub(super) fn resumed(args: &Train, folder: &Folder) -> Result<Option<Checkpoint
     Ok(Some(checkpoint))
 }
 
+/// How a training stood before it went on.
+#[derive(Clone, Copy)]
+pub(super) struct Begun {
+    /// How far it had come, 0 to 1.
+    pub(super) progress: f64,
+    /// Steps that all of it is to take, where steps end it and a checkpoint says how many.
+    length: Option<u32>,
+}
+
+impl Begun {
+    /// A training of which nothing is left.
+    pub(super) const COMPLETE: Self = Self { progress: 1.0, length: None };
+}
+
 /// A trainer on `backend`, at its checkpoint or with `options` at its start, and how far it had come; of a
 /// clip of so many frames per second.
 pub(super) fn begin<'d>(
@@ -61,7 +75,7 @@ pub(super) fn begin<'d>(
     options: &train::TrainOptions,
     dataset: &'d Dataset,
     backend: &Backend,
-) -> Result<(Trainer<'d>, f64)> {
+) -> Result<(Trainer<'d>, Begun)> {
     let most = resumed.as_ref().map_or(options, |checkpoint| checkpoint.options()).max_gaussians;
     let frames = args.frames.unwrap_or(dataset.frames);
     if most.saturating_mul(frames) > Checkpoint::MAX_POSED {
@@ -72,12 +86,13 @@ pub(super) fn begin<'d>(
     }
     if let Some(checkpoint) = resumed {
         let failed = || folder.checkpoint.display().to_string();
-        let progress = checkpoint.progress();
+        let begun = Begun { progress: checkpoint.progress(), length: checkpoint.length() };
         let trainer = checkpoint.resume(dataset).with_context(failed)?.on(backend)?;
-        return Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), progress));
+        return Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), begun));
     }
     let trainer = Trainer::new(dataset, options)?.on(backend)?;
-    Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), 0.0))
+    let begun = Begun { progress: 0.0, length: None };
+    Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), begun))
 }
 
 /// Refuses options that are others than those that the checkpoint goes on with.
@@ -122,12 +137,13 @@ pub(super) fn check_options(args: &Train, resumed: &train::TrainOptions) -> Resu
     Ok(())
 }
 
-/// Refuses a length that a training at `progress` of its own, `taken` steps, cannot take.
-pub(super) fn check_length(args: &Train, taken: u32, progress: f64) -> Result<()> {
-    if args.resume && progress <= 0.0 && args.steps.is_none() && args.minutes.is_none() {
+/// Refuses a length that a training that had `begun`, with `taken` steps, cannot take.
+pub(super) fn check_length(args: &Train, taken: u32, begun: Begun) -> Result<()> {
+    let Begun { progress, length } = begun;
+    if args.resume && progress <= 0.0 && length.or(args.steps).is_none() && args.minutes.is_none() {
         bail!(
-            "--resume: the checkpoint is of the start of a training, which does not say how long that was to \
-             be: type --steps or --minutes"
+            "--resume: the checkpoint is of the start of a training that some time was to end, and does not \
+             say which: type --steps or --minutes"
         );
     }
     if progress >= 1.0 && (args.minutes.is_some() || args.steps.is_some_and(|steps| steps > taken)) {
@@ -191,7 +207,7 @@ pub(super) fn fit(
     folder: &Folder,
     dataset: &Dataset,
     trainer: &mut Trainer,
-    begun: f64,
+    begun: Begun,
     log: &mut Log,
     stop: &Interruption,
     quiet: Quiet,
@@ -199,8 +215,10 @@ pub(super) fn fit(
     let bar = Progress::new("train", quiet.0);
     let clock = Clock::now();
     let before = log.seconds();
-    let mut progress = begun;
     let steps = steps(args, trainer, begun);
+    let length = args.minutes.is_none().then_some(steps as u32);
+    let begun = begun.progress;
+    let mut progress = begun;
     // Of another length than before, a training stays where it was left until its steps have come so far.
     let mut least = begun;
     let glances = f64::from(args.evaluations);
@@ -213,7 +231,7 @@ pub(super) fn fit(
             Ok(report) => report,
             Err(error) => {
                 // What was reached before is kept.
-                save(folder, dataset, trainer, trainer.progress())?;
+                save(folder, dataset, trainer, (trainer.progress(), length))?;
                 files::write(&folder.log, log.csv().as_bytes())?;
                 return Err(error).with_context(|| {
                     format!(
@@ -256,12 +274,12 @@ pub(super) fn fit(
         interrupted = stop.take();
         last = Some(Sample::of(&report, before + seconds, None));
         if interrupted || report.step.is_multiple_of(args.checkpoint_every) {
-            save(folder, dataset, trainer, progress)?;
+            save(folder, dataset, trainer, (progress, length))?;
             files::write(&folder.log, log.csv().as_bytes())?;
         }
     }
     if !interrupted {
-        save(folder, dataset, trainer, 1.0)?;
+        save(folder, dataset, trainer, (1.0, length))?;
     }
     // Where a training ends is in its log.
     log.end(last);
@@ -270,16 +288,22 @@ pub(super) fn fit(
 }
 
 /// Steps of the whole training: as typed, else as many as the checkpoint was part of.
-fn steps(args: &Train, trainer: &Trainer, begun: f64) -> f64 {
-    match args.steps {
+fn steps(args: &Train, trainer: &Trainer, begun: Begun) -> f64 {
+    match args.steps.or(begun.length) {
         Some(steps) => f64::from(steps),
-        None if begun > 0.0 => (f64::from(trainer.steps()) / begun).round(),
+        None if begun.progress > 0.0 => (f64::from(trainer.steps()) / begun.progress).round(),
         None => f64::from(DEFAULT_STEPS),
     }
 }
 
-fn save(folder: &Folder, dataset: &Dataset, trainer: &Trainer, progress: f64) -> Result<()> {
-    let checkpoint = Checkpoint::of(trainer, dataset, progress.min(1.0));
+/// Writes the checkpoint of a training at its `progress` of so many steps, if steps end it.
+fn save(
+    folder: &Folder,
+    dataset: &Dataset,
+    trainer: &Trainer,
+    (progress, length): (f64, Option<u32>),
+) -> Result<()> {
+    let checkpoint = Checkpoint::of(trainer, dataset, progress.min(1.0)).of_length(length);
     files::write(&folder.checkpoint, &checkpoint.to_bytes()?)
 }
 
@@ -296,7 +320,8 @@ fn glance(trainer: &Trainer, dataset: &Dataset) -> Option<f64> {
     } else {
         train::evaluate(&*trainer.model(), &dataset.validation.sample(GLANCE_VIEWS), reduced, background)
     };
-    found.ok().map(|found| found.psnr_db)
+    // Views of which a mask leaves nothing have none.
+    found.ok().map(|found| found.psnr_db).filter(|psnr_db| psnr_db.is_finite())
 }
 
 /// How the end of a training on `dataset` encodes, at so many frames per second.

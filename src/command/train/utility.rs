@@ -43,33 +43,40 @@ impl Audit {
 }
 
 /// Measures utilities of `stream` against the training photographs of `dataset` into the file `path`, and, as
-/// a check that no sender uses, against the test photographs. Gives the table of the first, too.
+/// a check that no sender uses, against the test photographs. Gives the table of the first, too; none where
+/// some window is in no photograph. Where cameras have exposures (`has_exposures`), that they are not applied
+/// is said.
 ///
 /// # Errors
-/// A window that no training photograph shows, or a file that cannot be written.
+/// Photographs that cannot be compared, or a file that cannot be written.
 pub(super) fn audits(
     stream: &Stream,
     dataset: &Dataset,
-    background: [f32; 3],
+    (background, has_exposures): ([f32; 3], bool),
     path: &Path,
     quiet: Quiet,
-) -> Result<(Vec<Audit>, Table)> {
-    let training = measured(stream, &dataset.train, background, Some(path), quiet).context("--utility")?;
-    let mut audits = vec![Audit::of("training photographs", &training)];
-    let against = "test photographs";
-    match measured(stream, &dataset.test, background, None, quiet) {
-        Ok(table) => audits.push(Audit::of(against, &table)),
-        Err(error) => {
-            // Test photographs need not show every window, or be there at all.
-            let missing = match error.downcast_ref::<UtilityError>() {
-                Some(why @ (UtilityError::NoCamera | UtilityError::NoPhotograph { .. })) => why.to_string(),
-                _ => return Err(error),
-            };
-            let (against, missing) = (against.to_owned(), Some(missing));
-            audits.push(Audit { against, protocol: String::new(), levels: Vec::new(), missing });
-        }
-    }
-    Ok((audits, training))
+) -> Result<(Vec<Audit>, Option<Table>)> {
+    let alike = if has_exposures { ", cameras taken as alike" } else { "" };
+    let training = measured(stream, &dataset.train, background, Some(path), quiet);
+    let (of_training, table) =
+        audited(&format!("training photographs{alike}"), training).context("--utility")?;
+    let test = measured(stream, &dataset.test, background, None, quiet);
+    let (of_test, _) = audited(&format!("test photographs{alike}"), test)?;
+    Ok((vec![of_training, of_test], table))
+}
+
+/// The audit of what was measured, and its table. Photographs need not show every window, or be there at all.
+fn audited(against: &str, measured: Result<Table>) -> Result<(Audit, Option<Table>)> {
+    let error = match measured {
+        Ok(table) => return Ok((Audit::of(against, &table), Some(table))),
+        Err(error) => error,
+    };
+    let missing = match error.downcast_ref::<UtilityError>() {
+        Some(why @ (UtilityError::NoCamera | UtilityError::NoPhotograph { .. })) => Some(why.to_string()),
+        _ => return Err(error),
+    };
+    let (against, protocol, levels) = (against.to_owned(), String::new(), Vec::new());
+    Ok((Audit { against, protocol, levels, missing }, None))
 }
 
 fn measured<S: Sync>(

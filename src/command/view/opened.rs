@@ -20,14 +20,23 @@ pub(super) struct Opened {
     pub damaged: bool,
 }
 
+/// Refuses an `input` that no page shows, or that is not there.
+///
+/// # Errors
+/// A URL; no such file, folder or built-in scene.
+pub(super) fn check(input: &str, args: &View) -> Result<()> {
+    if input.contains("://") {
+        bail!("{input}: a page shows files and scenes; --window shows URLs");
+    }
+    pipeline::check_input(input, &args.scene)
+}
+
 /// The stream `input`, or the scene `input` encoded.
 ///
 /// # Errors
 /// It cannot be read, or is neither.
 pub(super) fn opened(input: &str, args: &View, quiet: Quiet, warn: &mut dyn FnMut(String)) -> Result<Opened> {
-    if input.contains("://") {
-        bail!("{input}: a page shows files and scenes; --window shows URLs");
-    }
+    check(input, args)?;
     if !pipeline::is_stream(input) {
         let loaded = pipeline::import(input, &args.scene)?;
         let damaged = loaded.damage.is_some();

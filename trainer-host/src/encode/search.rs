@@ -79,9 +79,7 @@ fn on_a_part(
 ) -> Result<(QuantiserSteps, usize), EncodeError> {
     let scene = analysis.scene;
     let middle = scene.epochs().len() / 2;
-    let part = scene.epochs().get(middle).filter(|_| scene.epochs().len() > 1);
-    let mut part = part.and_then(|epoch| Scene::new(vec![epoch.clone()], scene.frames_per_second()).ok());
-    part.iter_mut().for_each(|part| part.footprint = scene.footprint);
+    let part = if scene.epochs().len() > 1 { epoch_alone(scene, middle) } else { None };
     let of_part = part.as_ref().map(|part| analysis.of_epoch(part, middle));
     let analysis = of_part.as_ref().unwrap_or(analysis);
     let part = analysis.scene;
@@ -98,6 +96,15 @@ fn on_a_part(
         )?;
         Ok(RateAndPsnr { bits: encoded.report.ledger.wire(), psnr: evaluator.whole(&encoded.stream)? })
     })
+}
+
+/// Epoch `index` of `scene` as a scene of its own, which is drawn and seen from around as the whole is; nothing
+/// where there is no such epoch.
+fn epoch_alone(scene: &Scene, index: usize) -> Option<Scene> {
+    let epoch = scene.epochs().get(index)?;
+    let mut alone = Scene::new(vec![epoch.clone()], scene.frames_per_second()).ok()?;
+    (alone.footprint, alone.up) = (scene.footprint, scene.up);
+    Some(alone)
 }
 
 /// A step of [`QuantiserSteps`].
@@ -199,10 +206,16 @@ fn descend<E>(
 
 #[cfg(test)]
 mod tests {
+    use codec_core::Footprint;
+
     use super::*;
-    use crate::import::{
-        Limits,
-        synth::{self, SynthKind},
+    use crate::{
+        import::{
+            Limits,
+            synth::{self, SynthKind},
+        },
+        scene::Up,
+        viewpoint::{Framing, Ring},
     };
 
     /// Attributes with `values` values each whose squared errors weigh `weights`: log rate, PSNR of the sum.
@@ -259,6 +272,24 @@ mod tests {
         };
         assert_eq!(descend(start, &AXES, 3, |q| Ok::<_, ()>(marks(q))), Ok((start, 0)));
         assert_eq!(descend(start, &AXES, 500, |q| Ok::<_, ()>(marks(q))), Ok((start, 43)));
+    }
+
+    /// The steps are searched for from cameras that stand as those that measure the whole clip do.
+    #[test]
+    fn an_epoch_alone_is_drawn_and_seen_as_the_whole_scene() {
+        let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..Default::default() };
+        let one = synth::make(&options, &Limits::default()).unwrap();
+        let mut scene = Scene::new([one.epochs(), one.epochs(), one.epochs()].concat(), 24.0).unwrap();
+        (scene.up, scene.footprint) = (Up::Z, Footprint::Pixel);
+        let alone = epoch_alone(&scene, 1).unwrap();
+        assert_eq!((alone.up, alone.footprint), (Up::Z, Footprint::Pixel));
+        assert_eq!((alone.epochs(), alone.frames_per_second()), (&scene.epochs()[1..2], 24.0));
+        let eye = |scene: &Scene| {
+            let ring = Framing::of(scene).ring(Ring::Validation, 1, (8, 8)).unwrap();
+            ring[0].translation()
+        };
+        assert_eq!(eye(&alone), eye(&scene), "each epoch is as large as all of them");
+        assert!(epoch_alone(&scene, 3).is_none());
     }
 
     #[test]

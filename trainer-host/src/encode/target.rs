@@ -2,7 +2,8 @@
 //!
 //! Coarser steps give fewer bytes and a lower PSNR, nearly linearly in logarithms, so a bracketed
 //! secant on the logarithm of the coarseness needs few encodings. What is returned has been
-//! encoded and measured, so a stream that is not quite monotone costs closeness, never the promise.
+//! encoded and measured, so a stream that is not quite monotone costs closeness, never the promise. Steps
+//! below a sixteenth of the usual ones are tried only where those do not lead to the target.
 //!
 //! A PSNR is a mean over pictures, each weighed by the share of it that the scene covers.
 
@@ -17,7 +18,9 @@ use super::{
 use crate::scene::Scene;
 
 /// Finest and coarsest factor on the steps that is tried.
-pub const COARSENESS: (f32, f32) = (1.0 / 16.0, 1024.0);
+pub const COARSENESS: (f32, f32) = (0.001, 1024.0);
+/// Finest factor on the steps that is tried where it suffices: finer ones are beyond what pictures show.
+const USUAL_FINEST: f32 = 1.0 / 16.0;
 /// Shortest and longest factor on the steps of motion alone that is tried.
 const MOTION_STEPS: (f64, f64) = (1.0 / 16.0, 16.0);
 /// Most encodings of a search.
@@ -39,6 +42,9 @@ const FRAMES: u32 = 4;
 const CLOSE: f64 = 0.02;
 /// As is a PSNR within this many dB above it.
 const CLOSE_DB: f64 = 0.3;
+
+/// Excess where nothing can be written: more than that of any stream, be it dB or the logarithm of a ratio.
+const NOT_WRITTEN: f64 = 100.0;
 
 /// Encodes the scene of `analysis` at the coarseness that comes closest to `target` without missing it.
 pub(super) fn encode(
@@ -64,25 +70,33 @@ pub(super) fn encode(
     };
     // Towards the allowed side is coarser for sizes and finer for PSNR.
     let sign = if evaluator.is_some() { -1.0 } else { 1.0 };
-    let (finest, coarsest) = (f64::from(COARSENESS.0).ln(), f64::from(COARSENESS.1).ln());
-    let search = Search {
-        low: if sign > 0.0 { finest } else { -coarsest },
-        high: if sign > 0.0 { coarsest } else { -finest },
-        slope: if sign > 0.0 { 0.25 } else { 6.0 },
-        close: if sign > 0.0 { CLOSE } else { CLOSE_DB },
+    let [finest, usual, coarsest] = [COARSENESS.0, USUAL_FINEST, COARSENESS.1].map(|c| f64::from(c).ln());
+    let search = if sign > 0.0 {
+        Search { lowest: finest, low: usual, high: coarsest, highest: coarsest, slope: 0.25, close: CLOSE }
+    } else {
+        let (low, high, highest) = (-coarsest, -usual, -finest);
+        Search { lowest: low, low, high, highest, slope: 6.0, close: CLOSE_DB }
     };
     let found = search.run(|number, at| {
-        let coarseness = (sign * at).exp() as f32;
+        let coarseness = ((sign * at).exp() as f32).clamp(COARSENESS.0, COARSENESS.1);
         let again = EncodeOptions { quality: options.quality.scaled(coarseness), ..options.clone() };
         let progress = part(progress, share_before(number), share_before(number + 1));
-        let encoded = decide_and_write(analysis, &again, &named(&progress, TRIES[number]))?;
+        let encoded = match decide_and_write(analysis, &again, &named(&progress, TRIES[number])) {
+            // As fine as this, what one Gaussian needs does not fit a packet, or the format has no such step.
+            Err(error @ (EncodeError::BlockTooLarge { .. } | EncodeError::Format(_)))
+                if coarseness < USUAL_FINEST =>
+            {
+                return Ok((NOT_WRITTEN, Err(error)));
+            }
+            encoded => encoded?,
+        };
         let value = match (target, &evaluator) {
             (Target::PsnrDb(_), Some(evaluator)) => evaluator.whole(&encoded.stream)?,
             _ => size(target, &encoded),
         };
-        Ok::<_, EncodeError>((excess(target, value), (encoded, coarseness, value)))
+        Ok::<_, EncodeError>((excess(target, value), Ok((encoded, coarseness, value))))
     })?;
-    let (mut encoded, coarseness, value) = found.what;
+    let (mut encoded, coarseness, value) = found.what?;
     if found.excess > 0.0 {
         return Err(EncodeError::Unreachable {
             option: target.name(),
@@ -116,7 +130,8 @@ pub fn reencode_to_size(
     };
     target.check()?;
     let (finest, coarsest) = MOTION_STEPS;
-    let search = Search { low: finest.ln(), high: coarsest.ln(), slope: 0.2, close: CLOSE };
+    let (low, high) = (finest.ln(), coarsest.ln());
+    let search = Search { lowest: low, low, high, highest: high, slope: 0.2, close: CLOSE };
     let found = search.run(|number, at| {
         let motion = at.exp() as f32;
         let progress = part(progress, share_before(number), share_before(number + 1));
@@ -169,8 +184,14 @@ fn excess(target: Target, value: f64) -> f64 {
 
 /// A search for the least place whose excess, which falls from left to right, is at most zero.
 struct Search {
+    /// The least place there is: it is gone to only where even `low` fits, and is not close.
+    lowest: f64,
+    /// The least place that is usual.
     low: f64,
+    /// The greatest place that is usual.
     high: f64,
+    /// The greatest place there is: it is gone to only where `high` does not fit.
+    highest: f64,
     /// Guess of how fast the excess falls.
     slope: f64,
     /// An excess of no less than minus this ends the search.
@@ -179,21 +200,22 @@ struct Search {
 
 /// The best place measured.
 struct BestPlace<T> {
+    at: f64,
     excess: f64,
     what: T,
     tries: usize,
 }
 
 impl Search {
-    /// Starts at 0; if nothing fits, the answer is the place that exceeds least. `measure` is given how many
-    /// measurements there were, below [`MOST`], and a place.
+    /// Starts at 0; if nothing fits, the answer is the place that exceeds least, and of equals the least place.
+    /// `measure` is given how many measurements there were, below [`MOST`], and a place.
     fn run<T, E>(
         &self,
         mut measure: impl FnMut(usize, f64) -> Result<(f64, T), E>,
     ) -> Result<BestPlace<T>, E> {
         let mut at = 0f64.clamp(self.low, self.high);
         let (excess, what) = measure(0, at)?;
-        let mut best = BestPlace { excess, what, tries: 1 };
+        let mut best = BestPlace { at, excess, what, tries: 1 };
         let (mut fits, mut exceeds) = (None, None);
         let (mut last, mut slope) = ((at, excess), self.slope);
         loop {
@@ -205,10 +227,11 @@ impl Search {
             let (excess, what) = measure(best.tries, at)?;
             let tries = best.tries + 1;
             let closer = match (excess <= 0.0, best.excess <= 0.0) {
+                (true, true) if excess == best.excess => at < best.at,
                 (true, true) => excess > best.excess,
                 (fits, best_fits) => fits || !best_fits && excess < best.excess,
             };
-            best = if closer { BestPlace { excess, what, tries } } else { BestPlace { tries, ..best } };
+            best = if closer { BestPlace { at, excess, what, tries } } else { BestPlace { tries, ..best } };
             let found = (last.1 - excess) / (at - last.0);
             slope = if found.is_finite() { found.clamp(self.slope / 8.0, self.slope * 4.0) } else { slope };
             last = (at, excess);
@@ -233,12 +256,16 @@ impl Search {
                 let share = if left <= 2 { 0.5 * (share + 0.5) } else { share };
                 (width > 1e-4).then_some(a.0 + share * width)
             }
-            (Some(a), None) if a.0 >= self.high => None,
-            // The last try but two goes to the end, where it is decided whether anything fits.
-            (Some(_), None) if left <= 3 => Some(self.high),
-            (Some(a), None) => Some(along(a).clamp(a.0 + 0.02, self.high)),
-            (None, Some(b)) if b.0 <= self.low => None,
-            (None, Some(b)) => Some(along(b).min(b.0 - 0.02).max(self.low)),
+            (Some(a), None) => {
+                let end = if a.0 < self.high { self.high } else { self.highest };
+                // The last try but two goes to the end, where it is decided whether anything fits.
+                let next = if left <= 3 { end } else { along(a).max(a.0 + 0.02).min(end) };
+                (a.0 < end).then_some(next)
+            }
+            (None, Some(b)) => {
+                let end = if b.0 > self.low { self.low } else { self.lowest };
+                (b.0 > end).then_some(along(b).min(b.0 - 0.02).max(end))
+            }
             (None, None) => None,
         }
     }
@@ -332,7 +359,7 @@ mod tests {
     /// A stair and a bent line: the answer fits, and no step of the stair that fits lies above it.
     #[test]
     fn the_search_keeps_its_promise_on_stairs() {
-        let search = Search { low: -2.7, high: 4.1, slope: 0.25, close: 0.02 };
+        let search = Search { lowest: -2.7, low: -2.7, high: 4.1, highest: 4.1, slope: 0.25, close: 0.02 };
         for wanted in [-0.5, -0.3, 0.0, 0.4] {
             let stair = |u: f64| -0.02 * (10.0 * u).floor() + 0.01 * u * u - wanted;
             let found = search.run(|_, u| Ok::<_, ()>((stair(u), u))).unwrap();
@@ -341,6 +368,65 @@ mod tests {
         }
         let never = search.run(|_, u| Ok::<_, ()>((9.0 - u, u))).unwrap();
         assert_eq!((never.what, never.excess > 0.0), (4.1, true));
+    }
+
+    /// What the usual places decide is decided as if there were no others; where they do not, the others do.
+    #[test]
+    fn unusual_places_are_gone_to_only_where_usual_ones_do_not_suffice() {
+        // By size finer is to the left, by PSNR to the right. Each has one end beyond the usual one.
+        let by_size =
+            |lowest: f64| Search { lowest, low: -2.7, high: 6.9, highest: 6.9, slope: 0.25, close: 0.02 };
+        let by_psnr =
+            |highest: f64| Search { lowest: -6.9, low: -6.9, high: 2.7, highest, slope: 6.0, close: 0.3 };
+        let run = |search: Search, excess: &dyn Fn(f64) -> f64| {
+            let mut places = Vec::new();
+            let found = search.run(|_, at| {
+                places.push(at);
+                Ok::<_, ()>((excess(at), at))
+            });
+            (places, found.unwrap())
+        };
+        for zero in [-2.5, -1.3, 0.4, 2.1, 3.9] {
+            let excess = |at: f64| -0.3 * (at - zero);
+            assert_eq!(run(by_size(-6.9), &excess).0, run(by_size(-2.7), &excess).0, "{zero}");
+            let excess = |at: f64| -5.0 * (at + zero);
+            assert_eq!(run(by_psnr(6.9), &excess).0, run(by_psnr(2.7), &excess).0, "{zero}");
+        }
+        for zero in [-3.5, -5.0, -6.6] {
+            let (places, found) = run(by_size(-6.9), &|at| -0.3 * (at - zero));
+            assert!(found.excess <= 0.0 && found.excess > -0.05 && places.len() <= MOST, "{places:?}");
+            let (places, found) = run(by_psnr(6.9), &|at| -5.0 * (at + zero));
+            assert!(found.excess <= 0.0 && found.excess > -0.6 && places.len() <= MOST, "{places:?}");
+        }
+        // What is too small or too good at every place ends at the last one.
+        assert_eq!(run(by_size(-6.9), &|at| -0.3 * (at + 20.0)).1.at, -6.9);
+        let (places, found) = run(by_psnr(6.9), &|at| -5.0 * (at - 20.0));
+        assert!(found.excess > 0.0 && places.contains(&6.9), "{places:?}");
+    }
+
+    /// On a plateau many coarsenesses give one PSNR: the coarsest of those that were tried takes fewest bytes.
+    #[test]
+    fn of_places_that_fit_alike_the_least_is_taken() {
+        let search = Search { lowest: -6.9, low: -6.9, high: 2.7, highest: 6.9, slope: 6.0, close: 0.3 };
+        let excess = |at: f64| if at < 1.0 { 5.0 } else { -2.0 };
+        let mut fitting = Vec::new();
+        let found = search.run(|_, at| {
+            fitting.extend((at >= 1.0).then_some(at));
+            Ok::<_, ()>((excess(at), at))
+        });
+        let least = fitting.iter().copied().fold(f64::INFINITY, f64::min);
+        assert!(fitting.len() > 1 && fitting[0] > least, "{fitting:?}");
+        assert_eq!(found.unwrap().what, least);
+    }
+
+    #[test]
+    fn targets_beyond_the_usual_coarseness_are_met() {
+        let reached = encoded(Target::PsnrDb(90.0)).unwrap().report.reached.unwrap();
+        assert!(reached.value >= 90.0 && reached.encodes <= MOST, "{reached:?}");
+        assert!((COARSENESS.0..USUAL_FINEST).contains(&reached.coarseness), "{reached:?}");
+        // No coarseness makes that many bytes.
+        let reached = encoded(Target::Bytes(100_000_000)).unwrap().report.reached.unwrap();
+        assert_eq!(reached.coarseness, COARSENESS.0, "{reached:?}");
     }
 
     #[test]

@@ -19,7 +19,7 @@ use super::{
 };
 
 const MAGIC: &str = "DGSTRAIN";
-const VERSION: u16 = 13;
+const VERSION: u16 = 14;
 const HEADER: usize = 14;
 /// A training between two steps, with what it was trained on and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,6 +30,8 @@ pub struct Checkpoint {
     pub frames: usize,
     /// Frames per second that the scene is encoded at.
     pub frames_per_second: f64,
+    /// Steps that the whole training is to take, where steps end it.
+    length: Option<u32>,
     /// Number of the axis that points up.
     up: u8,
     options: TrainOptions,
@@ -73,12 +75,24 @@ impl Checkpoint {
             dataset: dataset.name.clone(),
             frames: dataset.frames,
             frames_per_second: trainer.frames_per_second(),
+            length: None,
             up: dataset.up as u8,
             options: trainer.options().clone(),
             views: fingerprint(dataset),
             state: State { progress, ..state.clone() },
             fallback: Some(fallback).filter(|fallback| *fallback != state).cloned(),
         }
+    }
+
+    /// The same of a training that is to take so many steps in all; `None`: something else ends it.
+    #[must_use]
+    pub fn of_length(self, length: Option<u32>) -> Self {
+        Self { length, ..self }
+    }
+
+    /// Steps that the whole training is to take, where steps end it.
+    pub fn length(&self) -> Option<u32> {
+        self.length
     }
 
     /// How the scene is trained.

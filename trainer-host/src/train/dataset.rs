@@ -22,7 +22,7 @@ pub use panoptic::cameras as panoptic_cameras;
 use render_host::camera::DEFAULT_NEAR;
 
 use super::{
-    reduction::Trimmed,
+    reduction::ReductionReport,
     start::Extent,
     views::{Dataset, PosedPhotograph},
 };
@@ -40,19 +40,20 @@ pub fn read(path: &Path) -> Result<Dataset, DatasetError> {
 
 /// The same, with photographs reduced by a whole number as they are read, so that no side is longer than
 /// `max_side` pixels; those for testing may be twice as large ([`Dataset::test_scale`]). Sides that no number
-/// divides are cut first, by less than a 64th or than they are reduced by: what was cut comes with them.
+/// divides are cut first, by less than a 64th or than they are reduced by. With them comes what a person
+/// should know: what was cut, and where reducing all by one number leaves some too small or too large.
 ///
 /// No more photographs than threads are in memory in full size.
 ///
 /// # Errors
 /// As [`read`].
-pub fn read_reduced(path: &Path, max_side: u32) -> Result<(Dataset, Option<Trimmed>), DatasetError> {
+pub fn read_reduced(path: &Path, max_side: u32) -> Result<(Dataset, ReductionReport), DatasetError> {
     read_at(path, Some(max_side))
 }
 
-fn read_at(path: &Path, max_side: Option<u32>) -> Result<(Dataset, Option<Trimmed>), DatasetError> {
+fn read_at(path: &Path, max_side: Option<u32>) -> Result<(Dataset, ReductionReport), DatasetError> {
     let (has, has_sparse) = (|name: &str| path.join(name).is_file(), path.join("sparse/0").is_dir());
-    let (dataset, trimmed) = if has("transforms_train.json") || (has("transforms.json") && !has_sparse) {
+    let (dataset, report) = if has("transforms_train.json") || (has("transforms.json") && !has_sparse) {
         blender::read(path, max_side)?
     } else if has_sparse || colmap::model(path).is_some() {
         colmap::read(path, max_side)?
@@ -61,7 +62,7 @@ fn read_at(path: &Path, max_side: Option<u32>) -> Result<(Dataset, Option<Trimme
     } else {
         return Err(DatasetError::Unknown { path: path.to_owned() });
     };
-    Ok((within_sight(dataset), trimmed))
+    Ok((within_sight(dataset), report))
 }
 
 /// The same, with near planes that do not hide a scene that is small in its units; others stay as they are.

@@ -16,7 +16,8 @@ use crate::scene::Instant;
 /// PSNR of a picture that is its photograph value for value, dB; none counts more.
 pub(super) const EQUAL_DB: f64 = 100.0;
 
-/// How well pictures agree with photographs.
+/// How well pictures agree with photographs. A view whose mask leaves no pixel that counts is left out of all
+/// means; what no view is left for is not a number, which JSON has as null.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Evaluation {
     /// Width and height of the pictures, pixels, of the first view.
@@ -26,18 +27,20 @@ pub struct Evaluation {
     /// Mean over views of each view's PSNR, dB, at most 100; of a photograph with a mask over pixels that
     /// count: those of a smaller picture that cover only such pixels.
     pub psnr_db: f64,
-    /// Mean over views of the PSNR over pixels whose alpha is at least a half, dB.
+    /// Mean over views of the PSNR over pixels whose alpha is at least a half, dB; views without such pixels
+    /// are left out.
     pub foreground_psnr_db: f64,
     /// Lowest PSNR of a view, dB.
     pub worst_psnr_db: f64,
     /// Mean SSIM; of a photograph with a mask over windows whose middle counts, in which pixels that do not
     /// count are equal ([`metric::ssim_where_counted`]).
     pub ssim: f64,
-    /// PSNR of each view, dB, in the order of the views.
+    /// PSNR of each view, dB, in the order of the views; not a number of one that is left out.
     pub psnr_of_views_db: Vec<f64>,
 }
 
-/// How different pictures look from photographs to a person. Pixels that a mask leaves out are equal.
+/// How different pictures look from photographs to a person. Pixels that a mask leaves out are equal; views
+/// are left out as of an [`Evaluation`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Perceptual {
     /// Mean FLIP, 0 to 1.
@@ -86,6 +89,11 @@ pub struct Compared {
 }
 
 impl Compared {
+    /// Whether some of it is compared.
+    fn counts(&self) -> bool {
+        self.counted.as_ref().is_none_or(|mask| mask.values().contains(&255))
+    }
+
     /// What was rendered, equal to the photograph where a mask leaves pixels out.
     ///
     /// # Errors
@@ -182,7 +190,9 @@ pub fn evaluate<S: Sync>(
     background: [f32; 3],
 ) -> Result<Evaluation, EvaluationError> {
     let measured = views.photographs().par_iter().enumerate().map(|(index, view)| {
-        let Compared { rendered, photograph, counted } = compare(scene, views, index, reduced, background)?;
+        let compared = compare(scene, views, index, reduced, background)?;
+        let counts = compared.counts();
+        let Compared { rendered, photograph, counted } = compared;
         let coverage = |x: u32, y: u32| -> u32 {
             let at = (y * view.photograph.width() + x) as usize;
             let alpha = || view.photograph.rgba().get(4 * at + 3).copied().unwrap_or(0).into();
@@ -195,40 +205,48 @@ pub fn evaluate<S: Sync>(
             pixels.map(|(x, y)| u64::from(coverage(x, y))).sum::<u64>() >= 128 * u64::from(reduced).pow(2)
         };
         let is_counted = |x: u32, y: u32| counted.as_ref().is_none_or(|mask| mask.at(x, y));
-        let of_counted = counted.as_ref().and_then(|_| psnr_where(&rendered, &photograph, is_counted));
         Ok::<_, EvaluationError>(OfView {
             size: rendered.size(),
-            psnr_db: of_counted.map_or_else(|| metric::psnr(&rendered, &photograph), Ok)?.min(EQUAL_DB),
+            psnr_db: match &counted {
+                Some(_) => psnr_where(&rendered, &photograph, is_counted),
+                None => Some(metric::psnr(&rendered, &photograph)?.min(EQUAL_DB)),
+            },
             foreground_db: psnr_where(&rendered, &photograph, |x, y| is_foreground(x, y) && is_counted(x, y)),
             ssim: match &counted {
-                Some(mask) => metric::ssim_where_counted(&rendered, &photograph, mask.values())?,
-                None => metric::ssim(&rendered, &photograph)?,
+                Some(mask) if counts => {
+                    Some(metric::ssim_where_counted(&rendered, &photograph, mask.values())?)
+                }
+                Some(_) => None,
+                None => Some(metric::ssim(&rendered, &photograph)?),
             },
         })
     });
     let measured = measured.collect::<Result<Vec<_>, _>>()?;
     let size = measured.first().ok_or(EvaluationError::Empty)?.size;
-    let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len() as f64;
-    let psnr_of_views_db: Vec<f64> = measured.iter().map(|view| view.psnr_db).collect();
-    let with_foreground: Vec<f64> = measured.iter().filter_map(|view| view.foreground_db).collect();
+    let mean = |value: fn(&OfView) -> Option<f64>| {
+        let values: Vec<f64> = measured.iter().filter_map(value).collect();
+        if values.is_empty() { f64::NAN } else { values.iter().sum::<f64>() / values.len() as f64 }
+    };
     Ok(Evaluation {
         size,
         background,
-        psnr_db: mean(psnr_of_views_db.clone()),
-        foreground_psnr_db: if with_foreground.is_empty() { EQUAL_DB } else { mean(with_foreground) },
-        worst_psnr_db: psnr_of_views_db.iter().copied().fold(f64::INFINITY, f64::min),
-        ssim: mean(measured.iter().map(|view| view.ssim).collect()),
-        psnr_of_views_db,
+        psnr_db: mean(|view| view.psnr_db),
+        foreground_psnr_db: mean(|view| view.foreground_db),
+        worst_psnr_db: measured.iter().filter_map(|view| view.psnr_db).reduce(f64::min).unwrap_or(f64::NAN),
+        ssim: mean(|view| view.ssim),
+        psnr_of_views_db: measured.iter().map(|view| view.psnr_db.unwrap_or(f64::NAN)).collect(),
     })
 }
 
 /// What one view gives.
 struct OfView {
     size: (u32, u32),
-    psnr_db: f64,
+    /// `None` where no pixel counts.
+    psnr_db: Option<f64>,
     /// `None` where the photograph shows none.
     foreground_db: Option<f64>,
-    ssim: f64,
+    /// `None` where no pixel counts.
+    ssim: Option<f64>,
 }
 
 /// How different `scene` looks from all `views`, `reduced` times smaller, over `background`.
@@ -242,19 +260,23 @@ pub fn perceptual<S>(
     background: [f32; 3],
     network: Option<&Lpips>,
 ) -> Result<Perceptual, EvaluationError> {
-    let (mut flip, mut lpips) = (0.0, 0.0);
+    let (mut flip, mut lpips, mut count) = (0.0, 0.0, 0.0);
     for index in 0..views.photographs().len() {
         let compared = compare(scene, views, index, reduced, background)?;
+        if !compared.counts() {
+            continue;
+        }
+        count += 1.0;
         let (rendered, photograph) = (compared.where_counted()?, &compared.photograph);
         flip += metric::flip(&rendered, photograph, metric::flip::PIXELS_PER_DEGREE)?.mean;
         if let Some(network) = network {
             lpips += network.distance(&rendered, photograph)?;
         }
     }
-    let count = views.photographs().len() as f64;
     if views.is_empty() {
         return Err(EvaluationError::Empty);
     }
+    // Not a number where there is none.
     Ok(Perceptual { flip: flip / count, lpips: network.map(|_| lpips / count) })
 }
 
@@ -270,4 +292,69 @@ fn psnr_where(a: &Image, b: &Image, counts: impl Fn(u32, u32) -> bool) -> Option
     }
     let error = (values > 0).then(|| sum / values as f64)?;
     Some(if error > 0.0 { (-10.0 * error.log10()).min(EQUAL_DB) } else { EQUAL_DB })
+}
+
+#[cfg(test)]
+mod tests {
+    use render_host::{Camera, adjoint::loss::photograph::Photograph};
+
+    use super::{
+        super::views::{PosedPhotograph, Test},
+        *,
+    };
+
+    const SIDE: u32 = 32;
+
+    /// An opaque photograph of one grey level, with a mask of pixels that all count or none of them do.
+    fn view(grey: u8, counts: Option<bool>) -> PosedPhotograph {
+        let values = |value: u8| vec![value; (SIDE * SIDE) as usize];
+        let rgba = [grey, grey, grey, 255].repeat((SIDE * SIDE) as usize);
+        PosedPhotograph {
+            name: "a".to_owned(),
+            camera: Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 0.7, SIDE, SIDE).unwrap(),
+            time: 0.0,
+            photograph: Photograph::new(SIDE, SIDE, rgba).unwrap(),
+            foreground: PixelMask::new(SIDE, SIDE, values(1)),
+            counted: counts.and_then(|counts| PixelMask::new(SIDE, SIDE, values(u8::from(counts)))),
+        }
+    }
+
+    fn views(photographs: Vec<PosedPhotograph>) -> Views<Test> {
+        Views::new(photographs).unwrap()
+    }
+
+    #[test]
+    fn views_of_which_nothing_counts_are_left_out() {
+        let nothing = Clip::default();
+        let of = |views: &Views<Test>| {
+            let found = evaluate(&nothing, views, 1, [0.0; 3]).unwrap();
+            (found, perceptual(&nothing, views, 1, [0.0; 3], None).unwrap())
+        };
+        let (alone, seen_alone) = of(&views(vec![view(60, None), view(90, Some(true))]));
+        let (with, seen) = of(&views(vec![view(60, None), view(250, Some(false)), view(90, Some(true))]));
+        assert!(alone.psnr_db < 15.0 && alone.ssim < 0.9 && seen_alone.flip > 0.0, "{alone:?}");
+        assert_eq!((with.psnr_db, with.ssim), (alone.psnr_db, alone.ssim));
+        assert_eq!(with.worst_psnr_db, alone.worst_psnr_db);
+        assert_eq!((with.foreground_psnr_db, seen), (alone.foreground_psnr_db, seen_alone));
+        let of_views = &with.psnr_of_views_db;
+        assert_eq!([of_views[0], of_views[2]], alone.psnr_of_views_db[..]);
+        assert!(of_views[1].is_nan() && of_views.len() == 3, "{of_views:?}");
+    }
+
+    #[test]
+    fn figures_of_nothing_are_not_a_number() {
+        let all_left_out = views(vec![view(60, Some(false)); 2]);
+        let found = evaluate(&Clip::default(), &all_left_out, 1, [0.0; 3]).unwrap();
+        let json = serde_json::to_value(&found).unwrap();
+        for field in ["psnr_db", "foreground_psnr_db", "worst_psnr_db", "ssim"] {
+            assert!(json[field].is_null(), "{field}: {json}");
+        }
+        assert_eq!(json["psnr_of_views_db"], serde_json::json!([null, null]));
+        assert!(perceptual(&Clip::default(), &all_left_out, 1, [0.0; 3], None).unwrap().flip.is_nan());
+        // A photograph that counts and shows nothing that moves.
+        let mut empty = view(60, None);
+        empty.foreground = PixelMask::new(SIDE, SIDE, vec![0; (SIDE * SIDE) as usize]);
+        let found = evaluate(&Clip::default(), &views(vec![empty]), 1, [0.0; 3]).unwrap();
+        assert!(found.foreground_psnr_db.is_nan() && found.psnr_db < 15.0, "{found:?}");
+    }
 }

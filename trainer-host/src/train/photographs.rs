@@ -34,8 +34,7 @@ impl<'a> Pyramid<'a> {
     pub(super) fn new(originals: &'a [PosedPhotograph], max_side: u32) -> Self {
         let sides = || originals.iter().flat_map(|view| [view.photograph.width(), view.photograph.height()]);
         let common = sides().fold(0, greatest_common_divisor);
-        let most = || (1..=MAX_REDUCED).rev().find(|by| common.is_multiple_of(*by)).unwrap_or(1);
-        let base = exact_reduction(sides(), max_side).unwrap_or_else(most);
+        let base = nearest_reduction(sides(), max_side);
         // Reductions that fit the greatest common divisor fit every side.
         let shortest = sides().min().unwrap_or(1);
         let sizes = Sizes::of(common / base, shortest / base);
@@ -115,6 +114,14 @@ pub(super) fn exact_reduction(sides: impl Iterator<Item = u32> + Clone, max_side
     let longest = sides.max().unwrap_or(1);
     let divides = |by: &u32| common.is_multiple_of(*by);
     (1..=MAX_REDUCED).filter(divides).find(|by| longest / by <= max_side)
+}
+
+/// The same; where there is none, the greatest that divides every side, at most [`MAX_REDUCED`].
+pub(super) fn nearest_reduction(sides: impl Iterator<Item = u32> + Clone, max_side: u32) -> u32 {
+    exact_reduction(sides.clone(), max_side).unwrap_or_else(|| {
+        let common = sides.fold(0, greatest_common_divisor);
+        (1..=MAX_REDUCED).rev().find(|by| common.is_multiple_of(*by)).unwrap_or(1)
+    })
 }
 
 fn greatest_common_divisor(a: u32, b: u32) -> u32 {

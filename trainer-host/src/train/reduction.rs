@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use render_host::adjoint::loss::photograph::Photograph;
 
 use super::{
-    photographs::{MAX_REDUCED, exact_reduction},
+    photographs::{MAX_REDUCED, exact_reduction, nearest_reduction},
     pixel_mask::PixelMask,
     schedule::MIN_SIDE,
     views::PosedPhotograph,
@@ -24,6 +24,18 @@ pub struct Trimmed {
     pub other_sizes: usize,
 }
 
+/// What a person should know of how photographs become small enough to train on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ReductionReport {
+    /// What was cut, if anything was.
+    pub trimmed: Option<Trimmed>,
+    /// Of photographs that are reduced with larger ones, or for want of a smaller divisor, to less than half
+    /// of what is allowed, the smallest: width and height before and after, pixels.
+    pub much_reduced: Option<[(u32, u32); 2]>,
+    /// The longest side that photographs are trained on with, pixels, where that is more than is allowed.
+    pub too_long: Option<u32>,
+}
+
 /// How photographs become small enough to train on, known before they are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Reduction {
@@ -40,8 +52,8 @@ impl Reduction {
     /// Of photographs of `sizes` (width and height, pixels): no side is longer than `max_side` pixels
     /// afterwards, and all can be halved again and again. What does not divide is cut off at the right and at
     /// the bottom, fewer pixels than a 64th of the shortest side, or than photographs are reduced by;
-    /// photographs that divide are not cut. With it what is cut, if anything is.
-    pub(super) fn of(sizes: &[(u32, u32)], max_side: u32) -> (Self, Option<Trimmed>) {
+    /// photographs that divide are not cut. With it what a person should know.
+    pub(super) fn of(sizes: &[(u32, u32)], max_side: u32) -> (Self, ReductionReport) {
         let sides: Vec<u32> = sizes.iter().flat_map(|&(width, height)| [width, height]).collect();
         let multiple = divisor(&sides, max_side);
         let by = exact_reduction(sides.iter().map(|side| side / multiple * multiple), max_side).unwrap_or(1);
@@ -54,7 +66,27 @@ impl Reduction {
             let after = (before.0 / multiple * multiple, before.1 / multiple * multiple);
             Trimmed { before, after, photographs, other_sizes: cut.len() - 1 }
         });
-        (Self { multiple, by }, trimmed)
+        let reduction = Self { multiple, by };
+        let trained = reduction.trained_sizes(sizes, max_side);
+        let longest = |(width, height): (u32, u32)| width.max(height);
+        let both = || sizes.iter().copied().zip(trained.iter().copied());
+        let much = both().filter(|&(before, after)| {
+            longest(after) < longest(before) && u64::from(longest(after)) * 2 < u64::from(max_side)
+        });
+        let much_reduced =
+            much.min_by_key(|&(_, after)| longest(after)).map(|(before, after)| [before, after]);
+        let too_long = trained.iter().copied().map(longest).max().filter(|&side| side > max_side);
+        (reduction, ReductionReport { trimmed, much_reduced, too_long })
+    }
+
+    /// Widths and heights that photographs of `sizes` are trained on with: where sides are still too long,
+    /// a training reduces them once more.
+    fn trained_sizes(self, sizes: &[(u32, u32)], max_side: u32) -> Vec<(u32, u32)> {
+        let reduced = |side: u32| side / self.multiple * self.multiple / self.by;
+        let sizes = sizes.iter().map(|&(width, height)| (reduced(width), reduced(height)));
+        let once_more =
+            nearest_reduction(sizes.clone().flat_map(|(width, height)| [width, height]), max_side);
+        sizes.map(|(width, height)| (width / once_more, height / once_more)).collect()
     }
 
     /// The same with sides twice as long, where that is a reduction by a whole number; and how many times as
@@ -97,7 +129,7 @@ fn divisor(sides: &[u32], max_side: u32) -> u32 {
 }
 
 /// `view` cut to multiples of `by`.
-fn trimmed(view: PosedPhotograph, by: u32) -> PosedPhotograph {
+pub(crate) fn trimmed(view: PosedPhotograph, by: u32) -> PosedPhotograph {
     let (width, height) = (view.photograph.width() / by * by, view.photograph.height() / by * by);
     if (width, height) == (view.photograph.width(), view.photograph.height()) {
         return view;
@@ -142,7 +174,7 @@ mod tests {
     #[test]
     fn odd_sides_are_cut_so_that_they_can_be_reduced_and_pixels_stay_in_place() {
         let (reduction, report) = Reduction::of(&[(641, 479), (641, 479), (640, 479)], 100);
-        let report = report.unwrap();
+        let report = report.trimmed.unwrap();
         assert_eq!((report.before, report.after, report.photographs), ((641, 479), (637, 476), 2));
         assert_eq!((report.other_sizes, reduction), (1, Reduction { multiple: 7, by: 7 }));
         let whole = view(641, 479);
@@ -163,10 +195,30 @@ mod tests {
     #[test]
     fn what_divides_or_needs_no_reduction_is_not_cut() {
         let of = |sizes: &[(u32, u32)]| Reduction::of(sizes, 320);
-        assert_eq!(of(&[(640, 360); 2]), (Reduction { multiple: 1, by: 2 }, None));
-        assert_eq!(of(&[(99, 71), (100, 70)]), (Reduction::NONE, None));
-        assert_eq!(of(&[]), (Reduction::NONE, None));
+        let nothing = ReductionReport::default();
+        assert_eq!(of(&[(640, 360); 2]), (Reduction { multiple: 1, by: 2 }, nothing));
+        assert_eq!(of(&[(99, 71), (100, 70)]), (Reduction::NONE, nothing));
+        assert_eq!(of(&[]), (Reduction::NONE, nothing));
         assert_eq!(of(&[(640, 360)]).0.doubled(), (Reduction::NONE, 2));
         assert_eq!(Reduction { multiple: 7, by: 7 }.doubled(), (Reduction { multiple: 7, by: 7 }, 1));
+    }
+
+    #[test]
+    fn what_becomes_much_smaller_or_stays_too_long_is_reported() {
+        let of = |sizes: &[(u32, u32)], max_side: u32| {
+            let report = Reduction::of(sizes, max_side).1;
+            (report.much_reduced, report.too_long)
+        };
+        // Small ones are reduced with large ones.
+        assert_eq!(of(&[(640, 480), (48, 64)], 64), (Some([(48, 64), (3, 4)]), None));
+        assert_eq!(of(&[(640, 480), (320, 640)], 64), (None, None));
+        // Small ones beside others that need no reduction are as they were.
+        assert_eq!(of(&[(64, 48), (8, 8)], 64), (None, None));
+        // The only divisor is a large one.
+        assert_eq!(of(&[(707, 707)], 700), (Some([(707, 707), (101, 101)]), None));
+        // Thin ones are only reduced by what divides them, and no photograph more than 64 times.
+        assert_eq!(of(&[(2000, 10)], 64), (None, Some(200)));
+        assert_eq!(of(&[(8192, 8192)], 16), (None, Some(128)));
+        assert_eq!(of(&[(8192, 4096), (64, 64)], 16), (Some([(64, 64), (1, 1)]), Some(128)));
     }
 }

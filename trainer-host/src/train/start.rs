@@ -122,6 +122,40 @@ pub(super) fn check(dataset: &Dataset) -> Result<(), TrainError> {
     }
 }
 
+/// Refuses a start that could not be trained: one that hardly any photograph shows, or one so far from the
+/// origin that the numbers of positions tell places apart too coarsely.
+pub(super) fn check_seen(dataset: &Dataset, extent: &Extent, begun: &Instant) -> Result<(), TrainError> {
+    let refused = |field, found: String, allowed: String| {
+        Err(TrainError::Dataset { dataset: dataset.name.clone(), field, found, allowed })
+    };
+    let [x, y, z] = extent.centre;
+    let farthest = x.abs().max(y.abs()).max(z.abs()) / extent.half_side;
+    if farthest > FARTHEST {
+        let found = format!(
+            "({x:.4}, {y:.4}, {z:.4}), {farthest:.0} times half the side of what cameras see from the origin"
+        );
+        let allowed = format!("up to {FARTHEST:.0} times (positions have 24 bits)");
+        return refused("the middle of the scene", found, allowed);
+    }
+    let views = dataset.train.photographs();
+    let is_seen = |gaussian: &&Gaussian| {
+        let shows = |view: &PosedPhotograph| pixel_at(&view.camera, &view.photograph, gaussian.position);
+        views.iter().any(|view| shows(view).is_some())
+    };
+    let (count, seen) = (begun.gaussians.len(), begun.gaussians.par_iter().filter(is_seen).count());
+    if (seen as f64) < LEAST_SEEN * count as f64 {
+        let found = format!("{count} Gaussians, {seen} of them in front of a camera of the training split");
+        let allowed = "one that photographs show (cameras that look at one place, or points as of COLMAP)";
+        return refused("start", found, allowed.to_owned());
+    }
+    Ok(())
+}
+
+/// Share of a start that photographs must show.
+const LEAST_SEEN: f64 = 0.02;
+/// Distance of the middle of a scene from the origin, in half its side: positions are coarser than a
+/// thousandth of that farther away.
+const FARTHEST: f64 = 1e4;
 /// What the numbers of a start may be.
 const FINITE: &str = "a list of finite numbers";
 

@@ -15,6 +15,7 @@ mod exposed;
 mod harmonics;
 mod masked;
 mod residual;
+mod seen;
 
 /// How far apart two devices may train the same scene in a few steps, dB.
 const TRAINED_TOLERANCE_DB: f64 = 0.1;

@@ -102,6 +102,7 @@ fn begun(dataset: &Dataset, options: &TrainOptions) -> Result<(Model, Extent, Tr
     let extent = Extent::of(&dataset.start, photographs);
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let begun = start::gaussians(&dataset.start, photographs, &extent, &options, &mut rng);
+    start::check_seen(dataset, &extent, &begun)?;
     options.initial_gaussians = begun.gaussians.len().max(1);
     let degree = schedule::degree(&options, 0.0).max(begun.sh_degree.min(options.degree()));
     let gaussians = TrainedGaussians::new(&begun, degree);

@@ -3,11 +3,16 @@
 use std::{marker::PhantomData, ops::Range};
 
 use codec_core::{Footprint, ShDegree};
+use rand::seq::SliceRandom;
+use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use render_host::{Camera, adjoint::loss::photograph::Photograph};
 
 use super::pixel_mask::PixelMask;
 use crate::scene::{Instant, Up};
+
+/// Mixes the places of photographs in a sample: the same numbers give the same sample.
+const SAMPLE_SEED: u64 = 1;
 
 /// A photograph, from where and when it was taken.
 #[derive(Clone, Debug)]
@@ -117,12 +122,41 @@ impl<Split> Views<Split> {
         self.photographs.is_empty()
     }
 
-    /// At most `count` of them, evenly spread.
+    /// At most `count` of them, evenly spread: over their order, or, where moments have several photographs
+    /// each, over moments and the places that photographs have among those of their moment.
     #[must_use]
     pub fn sample(&self, count: usize) -> Self {
         let (all, count) = (self.photographs.len(), count.min(self.photographs.len()));
-        let photographs = (0..count).map(|k| self.photographs[k * all / count].clone()).collect();
+        let chosen = if 2 * self.instants() <= all {
+            self.of_moments(count)
+        } else {
+            (0..count).map(|k| k * all / count).collect()
+        };
+        let photographs = chosen.into_iter().map(|at| self.photographs[at].clone()).collect();
         Self { photographs, split: PhantomData }
+    }
+
+    /// Indices of `count` of them, evenly spread over moments. Places, which are those of cameras where each
+    /// takes all moments, come in a mixed order: in one of equal steps, part of the sample might be of few.
+    fn of_moments(&self, count: usize) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..self.photographs.len()).collect();
+        order.sort_by(|&a, &b| self.photographs[a].time.total_cmp(&self.photographs[b].time));
+        let same = |&a: &usize, &b: &usize| self.photographs[a].time == self.photographs[b].time;
+        let mut moments: Vec<Vec<(usize, usize)>> =
+            order.chunk_by(same).map(|moment| moment.iter().copied().enumerate().collect()).collect();
+        let mut places: Vec<usize> = (0..moments.iter().map(Vec::len).max().unwrap_or(0)).collect();
+        places.shuffle(&mut Pcg64Mcg::new(u128::from(SAMPLE_SEED)));
+        let mut chosen = Vec::with_capacity(count);
+        for k in 0..count {
+            let first = k * moments.len() / count;
+            let left = (first..moments.len()).chain(0..first).find(|&moment| !moments[moment].is_empty());
+            let Some(moment) = left.map(|moment| &mut moments[moment]) else { break };
+            let wanted = places[k % places.len()];
+            let at = moment.iter().position(|&(place, _)| place >= wanted).unwrap_or(0);
+            chosen.push(moment.remove(at).1);
+        }
+        chosen.sort_unstable();
+        chosen
     }
 
     /// Each changed; `change` must leave it the size of its camera, and its time.
@@ -230,4 +264,72 @@ pub struct Dataset {
     /// How Gaussians are best drawn: as what a pixel of a photograph averages over, or as the scene is whose
     /// renders the photographs are.
     pub footprint: Footprint,
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    /// Views of `cameras` at each of `frames` moments, a moment after the other, named by both.
+    fn views(cameras: usize, frames: usize) -> Views<Training> {
+        let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 0.7, 1, 1).unwrap();
+        let view = |frame: usize, place: usize| PosedPhotograph {
+            name: format!("{place} {frame}"),
+            camera: camera.clone(),
+            time: frame as f32 / frames as f32,
+            photograph: Photograph::new(1, 1, vec![0; 4]).unwrap(),
+            foreground: None,
+            counted: None,
+        };
+        let all = (0..frames).flat_map(|frame| (0..cameras).map(move |place| (frame, place)));
+        Views::new(all.map(|(frame, place)| view(frame, place)).collect()).unwrap()
+    }
+
+    fn different<'a>(names: impl Iterator<Item = &'a str>) -> usize {
+        names.collect::<BTreeSet<_>>().len()
+    }
+
+    #[test]
+    fn a_sample_is_of_many_cameras_and_moments() {
+        for (count, frames) in [20, 24, 64].into_iter().flat_map(|count| (20..=128).map(move |f| (count, f)))
+        {
+            let sample = views(24, frames).sample(count);
+            let names: Vec<(&str, &str)> =
+                sample.photographs().iter().map(|view| view.name.split_once(' ').unwrap()).collect();
+            assert_eq!(names.len(), count);
+            let cameras = different(names.iter().map(|(place, _)| *place));
+            let moments = different(names.iter().map(|(_, frame)| *frame));
+            assert_eq!((cameras, moments), (count.min(24), count.min(frames)), "{count} of {frames} frames");
+            // Every fifth of them is a sample itself.
+            let fifth = different(names.iter().step_by(5).map(|(place, _)| *place));
+            assert!(5 * fifth >= 4 * count.div_ceil(5), "{count} of {frames} frames: {fifth} cameras");
+        }
+    }
+
+    /// Moments of which some have few photographs, cameras one after the other: none comes twice.
+    #[test]
+    fn a_sample_of_a_rig_with_gaps_is_of_different_photographs() {
+        let full = views(3, 6);
+        let by_camera = (0..3).flat_map(|place| (0..6).map(move |frame| 3 * frame + place));
+        let kept = by_camera.filter(|at| ![4, 5, 8].contains(at));
+        let gaps: Views<Training> =
+            Views::new(kept.map(|at| full.photographs()[at].clone()).collect()).unwrap();
+        for count in 0..=15 {
+            let sample = gaps.sample(count);
+            let names = sample.photographs().iter().map(|view| view.name.as_str());
+            assert_eq!(different(names), count);
+        }
+    }
+
+    #[test]
+    fn a_sample_of_one_camera_is_of_equal_steps() {
+        let names = |count: usize| -> Vec<String> {
+            views(1, 10).sample(count).photographs().iter().map(|view| view.name.clone()).collect()
+        };
+        assert_eq!(names(5), ["0 0", "0 2", "0 4", "0 6", "0 8"]);
+        assert_eq!(names(99).len(), 10);
+        assert_eq!(names(0).len(), 0);
+    }
 }

@@ -15,7 +15,7 @@ use super::error::UtilityError;
 use crate::{
     scene::Scene,
     stream::Player,
-    train::{PixelMask, Views},
+    train::{PixelMask, Views, trimmed},
 };
 
 /// What states are compared with.
@@ -106,9 +106,9 @@ impl View {
 }
 
 impl ReferencePhotographs {
-    /// The photographs of `views` over `background`, each reduced by the smallest whole divisor of its sides
-    /// that leaves neither longer than `longest_side` pixels; where there is none, as they are. Of each span,
-    /// up to `per_span` are used, and twice as many for gains: at least 1.
+    /// The photographs of `views` over `background`, each reduced by a whole number so that neither side is
+    /// longer than `longest_side` pixels. Where that leaves a rest, it is cut off at the right and the bottom.
+    /// Of each span, up to `per_span` are used, and twice as many for gains: at least 1.
     ///
     /// # Errors
     /// No photographs, or one that cannot be reduced.
@@ -120,16 +120,14 @@ impl ReferencePhotographs {
     ) -> Result<Self, UtilityError> {
         let reduced = |view: &crate::train::PosedPhotograph| {
             let refused = |why: String| UtilityError::Photograph { name: view.name.clone(), why };
-            let (width, height) = (view.camera.width(), view.camera.height());
-            let divides = |by: &u32| width.is_multiple_of(*by) && height.is_multiple_of(*by);
-            let fits = |by: &u32| divides(by) && width.max(height) / by <= longest_side;
-            let by = (1..=width.min(height)).find(fits).unwrap_or(1);
-            let (width, height) = (width / by, height / by);
+            let by = reduction((view.camera.width(), view.camera.height()), longest_side);
+            let view = trimmed(view.clone(), by);
+            let (width, height) = (view.camera.width() / by, view.camera.height() / by);
             let camera = view.camera.resized(width, height).map_err(|error| refused(error.to_string()))?;
             let whole = view.photograph.over(background);
             let image = whole.resized_box(width, height).map_err(|error| refused(error.to_string()))?;
             let counted = view.counted.as_ref().map(|mask| mask.reduced(by));
-            Ok(ReferencePhotograph { name: view.name.clone(), camera, time: view.time, image, counted })
+            Ok(ReferencePhotograph { name: view.name, camera, time: view.time, image, counted })
         };
         let photographs: Result<Vec<_>, UtilityError> = views.photographs().par_iter().map(reduced).collect();
         let photographs = photographs?;
@@ -289,6 +287,14 @@ impl SourceRenders<'_> {
     }
 }
 
+/// What sides of `size` are divided by so that none is longer than `longest`, pixels: what divides both, unless
+/// that leaves less than half of what is allowed.
+fn reduction((width, height): (u32, u32), longest: u32) -> u32 {
+    let least = width.max(height).div_ceil(longest.max(1)).clamp(1, width.min(height).max(1));
+    let divides = |by: &u32| width.is_multiple_of(*by) && height.is_multiple_of(*by);
+    (least..=2 * least).find(divides).unwrap_or(least)
+}
+
 /// The epoch of a span and its frames.
 ///
 /// # Errors
@@ -317,4 +323,26 @@ pub(super) fn random(span: Span, index: u32, purpose: u32, seed: u64) -> Pcg64 {
     };
     let key = u128::from(label) << 32 | u128::from(purpose) << 31 | u128::from(index);
     Pcg64::new(u128::from(seed) << 64 | key, 0xa02_bdbf_7bb3_c0a7)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn photographs_of_any_size_become_small_and_not_tiny() {
+        for (size, by) in [
+            ((800, 800), 5),
+            ((400, 400), 4),
+            ((160, 90), 1),
+            // Common divisors are 1, 3, 173, 519; 1 and 257; 1; 1 and 521.
+            ((1557, 1038), 10),
+            ((514, 514), 4),
+            ((799, 601), 5),
+            ((521, 521), 4),
+            ((4000, 3), 3),
+        ] {
+            assert_eq!(reduction(size, 160), by, "{size:?}");
+        }
+    }
 }

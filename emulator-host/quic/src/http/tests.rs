@@ -167,22 +167,25 @@ fn who_is_slow_is_closed_before_and_between_requests_and_while_an_answer_is_read
 
 #[test]
 fn who_reads_steadily_gets_all_of_a_large_file() {
-    let server = Running::start(short(400));
+    let bound = 2000;
+    let server = Running::start(short(bound));
     let mut stream = server.connect();
     stream.write_all(b"GET /streams/large.dgs HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").unwrap();
+    let began = Instant::now();
     let mut buffer = vec![0; 1 << 20];
-    let mut total = 0;
-    for at in 0.. {
+    let (mut total, mut pauses) = (0, 0);
+    loop {
         match stream.read(&mut buffer).unwrap() {
             0 => break,
             bytes => total += bytes,
         }
         // Longer than the bound in all, never without progress.
-        if at % 16 == 0 {
-            std::thread::sleep(Duration::from_millis(30));
+        if total / (LARGE / 16) > pauses {
+            pauses += 1;
+            std::thread::sleep(Duration::from_millis(bound / 10));
         }
     }
-    assert!(total > LARGE, "{total}");
+    assert!(total > LARGE && began.elapsed() > Duration::from_millis(bound), "{total}");
     assert_eq!(server.stop().slow, 0);
 }
 
@@ -212,7 +215,10 @@ fn closing_ends_idle_connections_at_once_and_answers_within_a_bound() {
     idle.write_all(b"GET /streams/ten.dgs HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
     let mut deaf = server.connect();
     deaf.write_all(b"GET /streams/large.dgs HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
-    std::thread::sleep(Duration::from_millis(200));
+    // Both are being answered.
+    for stream in [&mut idle, &mut deaf] {
+        stream.read_exact(&mut [0]).unwrap();
+    }
     let address = server.address;
     let began = Instant::now();
     let report = server.stop();

@@ -26,6 +26,13 @@ use crate::socket::{
     ClientConfig, Identity, Locator, NullSink, PlayError, Played, Scheme, Trust, message::StreamChoice,
 };
 
+/// How long a test may take.
+const LIMIT: Duration = Duration::from_secs(120);
+/// How long a player waits for what is meant to come, seconds: a busy machine takes its time.
+const PATIENCE_S: u64 = 20;
+/// How long it waits for media where nothing of use is meant to come: then playout begins without any.
+const SHORT_WAIT: Nanos = Nanos::from_s(2);
+
 /// A small stream of a few frames.
 fn stream() -> Stream {
     let file = include_bytes!("../../../../codec-core/tests/conformance/everything.dgs");
@@ -89,8 +96,8 @@ impl Hostile {
             stream: StreamChoice::Name("figure".to_owned()),
             pin: None,
         };
-        let startup = Startup { rule: StartupRule::BaseGroups(0.95), max_wait: Nanos::from_ms(500) };
-        let silence = Duration::from_secs(2);
+        let startup = Startup { rule: StartupRule::BaseGroups(0.95), max_wait: Nanos::from_s(PATIENCE_S) };
+        let silence = Duration::from_secs(PATIENCE_S);
         ClientConfig { startup, silence, reconnects: 0, ..ClientConfig::new(locator, self.trust.clone()) }
     }
 }
@@ -107,11 +114,20 @@ async fn relay(incoming: quinn::Incoming, origin: origin::Producer) {
 
 /// Plays from a relay that gives `given`.
 fn played(given: &[Given]) -> Played {
-    let limit = Duration::from_secs(60);
+    played_by(given, |_| ())
+}
+
+/// As [`played`] where nothing of what is given can be shown.
+fn played_empty(given: &[Given]) -> Played {
+    played_by(given, |config| config.startup.max_wait = SHORT_WAIT)
+}
+
+fn played_by(given: &[Given], change: impl FnOnce(&mut ClientConfig)) -> Played {
     Runtime::new().unwrap().block_on(async {
         let relay = Hostile::start(given);
-        let config = relay.client();
-        timeout(limit, play(&config, &mut NullSink, std::future::pending())).await.unwrap()
+        let mut config = relay.client();
+        change(&mut config);
+        timeout(LIMIT, play(&config, &mut NullSink, std::future::pending())).await.unwrap()
     })
 }
 
@@ -144,8 +160,8 @@ fn packets_that_come_before_the_manifest_wait_for_it() {
             sleep(Duration::from_millis(300)).await;
             give(&relay.tracks[0], 0, &[stream().message().to_vec()]);
         };
-        let (limit, mut screen) = (Duration::from_secs(60), NullSink);
-        let playing = timeout(limit, play(&config, &mut screen, std::future::pending()));
+        let mut screen = NullSink;
+        let playing = timeout(LIMIT, play(&config, &mut screen, std::future::pending()));
         tokio::join!(playing, late).0.unwrap().whole().unwrap()
     });
     assert_eq!((report.refused, report.packets, report.duplicates), (0, count, repeated), "{report:?}");
@@ -161,7 +177,7 @@ fn what_is_no_manifest_is_refused_by_name() {
 #[test]
 fn what_is_no_packet_is_counted_and_too_much_of_it_ends_the_session() {
     let garbage = |count: usize| (Track::Motion(1), 0, vec![vec![0x5a; 100]; count]);
-    let report = played(&[manifest(), garbage(50)]).whole().unwrap();
+    let report = played_empty(&[manifest(), garbage(50)]).whole().unwrap();
     assert_eq!((report.refused, report.packets), (50, 0), "{report:?}");
     assert!(report.shown_count > 0 && report.base_miss_rate == 1.0, "{report:?}");
     let error = played(&[manifest(), garbage(5100)]).whole().unwrap_err();
@@ -178,13 +194,13 @@ fn a_published_window_of_which_nothing_can_be_shown_is_not_waited_for_for_ever()
 fn what_is_longer_than_any_packet_is_not_read_and_numbers_out_of_reach_do_no_harm() {
     let long = (Track::Motion(1), 0, vec![vec![0x5a; 1 << 20]]);
     let far = (Track::Motion(0), (1 << 62) - 2, Vec::new());
-    let report = played(&[manifest(), long, far]).whole().unwrap();
+    let report = played_empty(&[manifest(), long, far]).whole().unwrap();
     assert_eq!((report.refused, report.packets, report.received_bytes), (0, 0, 0), "{report:?}");
     assert!(report.shown_count > 0, "{report:?}");
 }
 
 #[test]
 fn a_broadcast_without_a_manifest_is_as_good_as_none() {
-    let error = played(&[]).whole().unwrap_err();
+    let error = played_by(&[], |config| config.silence = Duration::from_secs(2)).whole().unwrap_err();
     assert!(matches!(error, PlayError::Unpublished { .. }), "{error}");
 }

@@ -106,7 +106,7 @@ impl Playback {
             conditions: config.conditions,
             anew: false,
             unanswered: false,
-            report: PlayReport { rounds: 1, ..PlayReport::default() },
+            report: PlayReport::default(),
             seen: Seen::new(Nanos::ZERO),
             seen_us: 0,
             missing: Nanos::ZERO,

@@ -90,7 +90,7 @@ pub struct PlayReport {
     pub startup_ms: Option<f64>,
     /// Whether playout started for enough was there, and not because the wait was over.
     pub startup_reached: bool,
-    /// Rounds begun.
+    /// Rounds begun: one with each connection made, and those after it.
     pub rounds: u32,
     /// What the server granted of the conditions that were asked for last; `None` where none were, or it has
     /// not answered.

@@ -35,6 +35,10 @@ use super::{
 };
 use crate::CongestionControl;
 
+/// For how long connections may stand on which nothing is said, until all of a test are made: a busy machine
+/// takes its time for handshakes.
+const PATIENCE: Duration = Duration::from_secs(60);
+
 /// A connection over loopback, without any session.
 pub(super) struct Loopback {
     pub(super) served: Connection,
@@ -103,7 +107,7 @@ pub(super) fn graph(stream: &Stream) -> PacketGraph {
 
 /// Runs `test` where sockets have a runtime, and not for ever.
 fn within<T>(test: impl Future<Output = T>) -> T {
-    let limit = Duration::from_secs(60);
+    let limit = Duration::from_secs(120);
     Runtime::new().unwrap().block_on(async { tokio::time::timeout(limit, test).await.unwrap() })
 }
 
@@ -169,6 +173,25 @@ impl Running {
         assert!(report.frames > 0 && report.shown_count == u64::from(report.frames), "{report:?}");
     }
 
+    /// An honest client sees all of the clip, if not at once: where a server waits only shortly for a hello,
+    /// a busy machine may make that one late as well. How many tries failed.
+    async fn shows_every_frame_in_the_end(&self) -> u64 {
+        let mut failed = 0;
+        loop {
+            match self.play().await {
+                Ok(report) => {
+                    assert!(
+                        report.frames > 0 && report.shown_count == u64::from(report.frames),
+                        "{report:?}"
+                    );
+                    return failed;
+                }
+                Err(_) => failed += 1,
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
     /// A connection on which nothing has been said.
     async fn connect(&self) -> (Endpoint, Connection) {
         self.connect_by(Scheme::Dgs).await
@@ -197,5 +220,6 @@ fn client(address: SocketAddr, trust: &Trust) -> ClientConfig {
         stream: StreamChoice::Index(0),
         pin: None,
     };
-    ClientConfig { silence: Duration::from_secs(2), ..ClientConfig::new(locator, trust.clone()) }
+    // On a busy machine a server may say nothing for long.
+    ClientConfig { silence: Duration::from_secs(20), ..ClientConfig::new(locator, trust.clone()) }
 }

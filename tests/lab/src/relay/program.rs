@@ -3,7 +3,7 @@
 use std::{
     env,
     io::{Read as _, Write as _},
-    net::{Ipv4Addr, TcpStream, UdpSocket},
+    net::{Ipv4Addr, TcpListener, TcpStream, UdpSocket},
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
     time::Duration,
@@ -16,6 +16,8 @@ use dgs_quic::socket::Pin;
 const INSTALLED: &str = "moq/bin/moq-relay";
 /// How often, and with what pause, a relay that starts is tried.
 const ATTEMPTS: (u32, Duration) = (600, Duration::from_millis(50));
+/// Numbers of ports that are tried: another program may take one before the relay does.
+const MAX_NUMBERS: u32 = 16;
 
 /// A relay that runs until it is dropped.
 pub struct Program {
@@ -44,7 +46,18 @@ impl Program {
     /// A relay that does not start.
     pub async fn start(root: &Path) -> Result<Option<Self>> {
         let Some(program) = find(root) else { return Ok(None) };
-        let port = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?.local_addr()?.port();
+        for _ in 0..MAX_NUMBERS {
+            if let Some(port) = free_number()?
+                && let Some(started) = Self::on(&program, port).await?
+            {
+                return Ok(Some(started));
+            }
+        }
+        bail!("moq-relay has ended at once on each of {MAX_NUMBERS} ports, or none of them was free")
+    }
+
+    /// On `port`; `None` where the program has ended.
+    async fn on(program: &Path, port: u16) -> Result<Option<Self>> {
         let listen = format!("127.0.0.1:{port}");
         let child = Command::new(program)
             .args(["--listen", &listen, "--web-http-listen", &listen, "--auth-public", "**"])
@@ -53,15 +66,27 @@ impl Program {
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()?;
-        let running = Running(child);
+        let mut running = Running(child);
         for _ in 0..ATTEMPTS.0 {
-            if let Ok(pin) = pin(port) {
+            let pin = pin(port);
+            // Whoever has answered then is another program.
+            if running.0.try_wait()?.is_some() {
+                return Ok(None);
+            }
+            if let Ok(pin) = pin {
                 return Ok(Some(Self { port, pin, _running: running }));
             }
             tokio::time::sleep(ATTEMPTS.1).await;
         }
         bail!("moq-relay says nothing on {listen}")
     }
+}
+
+/// A number that is free for datagrams and for connections, if the next that the system chooses is.
+fn free_number() -> Result<Option<u16>> {
+    let datagrams = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
+    let port = datagrams.local_addr()?.port();
+    Ok(TcpListener::bind((Ipv4Addr::LOCALHOST, port)).is_ok().then_some(port))
 }
 
 /// The pin, which the relay says over HTTP.

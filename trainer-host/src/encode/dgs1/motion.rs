@@ -84,7 +84,8 @@ fn decide_window(
             let member = member(epoch, frames.clone(), &cluster.gaussians, cell, canonical.origin);
             let quant = &cell.shape.quant;
             let rates = [rate_of(quant, Class::Position), rate_of(quant, Class::Rotation)];
-            let track = track::choose(&member, &motionless(cell, frames.len()), &rates, &cosines, most_bits);
+            let bounds = (most_bits, options.rank);
+            let track = track::choose(&member, &motionless(cell, frames.len()), &rates, &cosines, bounds);
             let leftover = leftover(epoch, &member, &track, cell, canonical.origin);
             (track.motion, leftover)
         })

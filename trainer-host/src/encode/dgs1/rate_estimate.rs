@@ -35,17 +35,25 @@ impl RateEstimate {
         if ratio < 3.0 { ZERO_BITS + PER_D * ratio } else { 0.5 * ratio.log2() + NONZERO_BITS + PER_D }
     }
 
-    /// Of `row` in the orthonormal basis `vectors`, each coefficient coded or left out as is cheaper.
-    pub fn of_row(&self, row: &[f64], vectors: &[Vec<f64>]) -> f64 {
+    /// Of `row` in the orthonormal basis `vectors`, each coefficient coded or left out as is cheaper; at most
+    /// `most` are coded, those that save most.
+    pub fn of_row(&self, row: &[f64], vectors: &[Vec<f64>], most: usize) -> f64 {
         let energy = dot(row, row);
         if energy < self.d {
             return self.of_loss(energy);
         }
-        let each = vectors.iter().map(|v| {
+        let (mut cost, mut dearer) = (0.0, Vec::new());
+        for v in vectors {
             let c = dot(row, v);
-            self.of_loss(c * c).min(self.of(c))
-        });
-        each.sum()
+            let (lost, coded) = (self.of_loss(c * c), self.of(c));
+            cost += lost.min(coded);
+            if coded < lost {
+                dearer.push(lost - coded);
+            }
+        }
+        // What does not fit is left out after all.
+        dearer.sort_by(|a, b| b.total_cmp(a));
+        cost + dearer.get(most..).unwrap_or_default().iter().sum::<f64>()
     }
 }
 
@@ -77,7 +85,10 @@ mod tests {
         let estimate = RateEstimate::of_step(0.1);
         let row = [3.0, 1.0];
         let both = estimate.of(4.0 * s) + estimate.of(2.0 * s);
-        assert!((estimate.of_row(&row, &vectors) - both).abs() < 1e-9);
-        assert!(estimate.of_row(&[0.0, 0.0], &vectors) == 0.0);
+        let of_row = |most: usize| estimate.of_row(&row, &vectors, most);
+        assert!((of_row(2) - both).abs() < 1e-9 && of_row(2) == of_row(9));
+        assert!((of_row(1) - estimate.of(4.0 * s) - estimate.of_loss(2.0)).abs() < 1e-9);
+        assert!((of_row(0) - estimate.of_loss(10.0)).abs() < 1e-9);
+        assert!(estimate.of_row(&[0.0, 0.0], &vectors, 2) == 0.0);
     }
 }

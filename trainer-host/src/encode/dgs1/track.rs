@@ -73,13 +73,14 @@ const SAMPLE: usize = 48;
 const PATIENCE: usize = 2;
 
 /// The cheapest track. `still` is the shape without one; `rates` those of position and rotation
-/// coefficients; `vectors` the cosine basis; a track takes at most `most_bits`.
+/// coefficients; `vectors` the cosine basis. A track takes at most `most_bits`, and behind it a position has
+/// at most `rank` coefficients per component.
 pub(super) fn choose(
     member: &Member<'_>,
     still: &Shape,
     rates: &[RateEstimate; 2],
     vectors: &[Vec<f64>],
-    most_bits: f64,
+    (most_bits, rank): (f64, usize),
 ) -> Chosen {
     let count = member.frames.len();
     let every = member.members.len().div_ceil(SAMPLE).max(1);
@@ -88,7 +89,8 @@ pub(super) fn choose(
         let mut sum = 0.0;
         for i in (0..member.members.len()).step_by(every) {
             for (d, row) in member.leftover(poses, i).iter().enumerate() {
-                sum += rates[d / 3].of_row(row, vectors);
+                let most = if d < 3 { rank } else { vectors.len() };
+                sum += rates[d / 3].of_row(row, vectors, most);
             }
         }
         sum * share

@@ -96,6 +96,20 @@ fn turns_take_each_axis_to_each() {
     for wrong in ["", "rotate=w:3", "scale=0", "scale=nan", "translate=1,2", "turn=3"] {
         assert!(wrong.parse::<Similarity>().is_err(), "{wrong}");
     }
+    for (far, allowed) in [
+        ("scale=1e10", "scale: a factor from 1e-9 to 1e9 is allowed"),
+        ("scale=1e-10", "scale: a factor from 1e-9 to 1e9 is allowed"),
+        ("scale=nan", "scale: a factor from 1e-9 to 1e9 is allowed"),
+        ("rotate=x:-2e9", "rotate: -1e9 to 1e9 degrees are allowed"),
+        ("scale=2;translate=0,1e10,0", "translate: -1e9 to 1e9 each is allowed"),
+    ] {
+        assert_eq!(far.parse::<Similarity>().unwrap_err(), allowed, "{far}");
+    }
+    for near in ["scale=1e9;rotate=y:-1e9", "scale=1e-9", "translate=-1e9,1e9,0"] {
+        assert!(near.parse::<Similarity>().is_ok(), "{near}");
+    }
+    let words = "scale=two".parse::<Similarity>().unwrap_err();
+    assert!(words.starts_with("scale=two: rotate=x:DEGREES"), "{words}");
     assert_eq!(Similarity::default().rotation, Rotation3::identity());
 }
 

@@ -14,6 +14,11 @@ use crate::scene::{Attributes, Epoch, Scene, Track, Up};
 /// Directions that the matrix of a turn is found from: far more than coefficients in a band.
 const DIRECTIONS: usize = 64;
 
+/// Most that a number of a step may be, and least below 0.
+const MOST: f64 = 1e9;
+/// Least factor of a scale.
+const LEAST_SCALE: f64 = 1e-9;
+
 /// A turn, then a scale, then a shift.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Similarity {
@@ -34,20 +39,17 @@ impl Default for Similarity {
 impl FromStr for Similarity {
     type Err = String;
 
-    /// Steps joined by `;`, applied in order: `rotate=AXIS:DEGREES` (axis x, y or z), `scale=FACTOR`,
-    /// `translate=X,Y,Z`.
+    /// Steps joined by `;`, applied in order: `rotate=AXIS:DEGREES` (axis x, y or z; degrees from -1e9 to
+    /// 1e9), `scale=FACTOR` (1e-9 to 1e9), `translate=X,Y,Z` (scene units, each from -1e9 to 1e9).
     fn from_str(text: &str) -> Result<Self, String> {
         let mut whole = Self::default();
         for step in text.split(';') {
             let refused = || {
                 format!("{step}: rotate=x:DEGREES (or y:, z:), scale=FACTOR or translate=X,Y,Z is allowed")
             };
-            let number = |text: &str| {
-                text.trim()
-                    .parse::<f64>()
-                    .ok()
-                    .filter(|v| v.is_finite() && v.abs() <= 1e9)
-                    .ok_or_else(refused)
+            let number = |text: &str, least: f64, allowed: &str| -> Result<f64, String> {
+                let found = text.trim().parse::<f64>().map_err(|_| refused())?;
+                if (least..=MOST).contains(&found) { Ok(found) } else { Err(allowed.to_owned()) }
             };
             let (name, value) = step.trim().split_once('=').ok_or_else(refused)?;
             let step = match name {
@@ -59,18 +61,18 @@ impl FromStr for Similarity {
                         "z" => Vector3::z_axis(),
                         _ => return Err(refused()),
                     };
-                    let rotation = Rotation3::from_axis_angle(&axis, number(degrees)?.to_radians());
+                    let degrees = number(degrees, -MOST, "rotate: -1e9 to 1e9 degrees are allowed")?;
+                    let rotation = Rotation3::from_axis_angle(&axis, degrees.to_radians());
                     Self { rotation, ..Self::default() }
                 }
                 "scale" => {
-                    let scale = number(value)?;
-                    if scale < 1e-9 {
-                        return Err("scale: a factor of at least 1e-9 is allowed".to_owned());
-                    }
+                    let allowed = "scale: a factor from 1e-9 to 1e9 is allowed";
+                    let scale = number(value, LEAST_SCALE, allowed)?;
                     Self { scale, ..Self::default() }
                 }
                 "translate" => {
-                    let values: Vec<f64> = value.split(',').map(number).collect::<Result<_, _>>()?;
+                    let shift = |text| number(text, -MOST, "translate: -1e9 to 1e9 each is allowed");
+                    let values: Vec<f64> = value.split(',').map(shift).collect::<Result<_, _>>()?;
                     Self { translation: values.try_into().map_err(|_| refused())?, ..Self::default() }
                 }
                 _ => return Err(refused()),

@@ -9,7 +9,10 @@
 use std::path::{Path, PathBuf};
 
 use codec_core::Footprint;
-use render_host::{Camera, camera::blender};
+use render_host::{
+    Camera,
+    camera::{View, blender},
+};
 
 use super::{
     error::DatasetError,
@@ -20,7 +23,7 @@ use super::{
 use crate::{
     scene::Up,
     train::{
-        reduction::Trimmed,
+        reduction::ReductionReport,
         views::{Dataset, FreeSpace, Start, distinct},
     },
 };
@@ -30,7 +33,7 @@ const TEST_EVERY: usize = 8;
 /// Endings of images, in the order in which they are looked for.
 const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
 
-pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Option<Trimmed>), DatasetError> {
+pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, ReductionReport), DatasetError> {
     let (listed, instants) = if folder.join("transforms_train.json").is_file() {
         let own = |name: &str| {
             let path = folder.join(format!("transforms_{name}.json"));
@@ -73,7 +76,7 @@ pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Opt
         up: Up::Z,
         footprint: Footprint::Pixel,
     };
-    Ok((dataset, photographs.trimmed))
+    Ok((dataset, photographs.report))
 }
 
 /// The photographs of the frames of a file, and what they are for, where it says so.
@@ -105,7 +108,15 @@ fn photographs(folder: &Path, path: &Path) -> Result<(Vec<ListedPhotograph>, Opt
             });
         }
     }
-    let images = named.iter().map(|view| image_path(folder, &view.name)).collect::<Result<Vec<_>, _>>()?;
+    let image = |(index, view): (usize, &View)| {
+        image_path(folder, &view.name).ok_or_else(|| DatasetError::Field {
+            path: path.to_owned(),
+            field: format!("frame {index}'s file_path"),
+            found: if view.name.is_empty() { "absent".to_owned() } else { view.name.clone() },
+            allowed: "no such image; .png, .jpg, .jpeg and .webp are looked for where a name has no ending",
+        })
+    };
+    let images = named.iter().enumerate().map(image).collect::<Result<Vec<_>, _>>()?;
     let nerfstudio::Extras { masks, splits } = nerfstudio::read(path, text)?;
     let sizes = claimed_sizes(&images)?;
     let views = cameras(sizes.first().copied())?;
@@ -129,11 +140,12 @@ fn of_size(camera: &Camera, width: u32, height: u32) -> Camera {
     camera.resized(width, height).ok().filter(|_| is_copy).unwrap_or_else(|| camera.clone())
 }
 
-fn image_path(folder: &Path, name: &str) -> Result<PathBuf, DatasetError> {
+/// The image of a frame by its `file_path`; none where it has no ending, and no image has one added to it.
+fn image_path(folder: &Path, name: &str) -> Option<PathBuf> {
     let path = folder.join(name);
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
     if ending.as_ref().is_some_and(|ending| ENDINGS.contains(&ending.as_str())) {
-        return Ok(path);
+        return Some(path);
     }
     let with = |ending: &str| {
         let mut whole = path.clone().into_os_string();
@@ -141,13 +153,5 @@ fn image_path(folder: &Path, name: &str) -> Result<PathBuf, DatasetError> {
         whole.push(ending);
         PathBuf::from(whole)
     };
-    if let Some(found) = ENDINGS.map(with).into_iter().find(|path| path.is_file()) {
-        return Ok(found);
-    }
-    Err(DatasetError::Field {
-        path: folder.to_owned(),
-        field: "file_path".to_owned(),
-        found: name.to_owned(),
-        allowed: "no such image; .png, .jpg, .jpeg and .webp are looked for where a name has no ending",
-    })
+    ENDINGS.map(with).into_iter().find(|path| path.is_file())
 }

@@ -19,7 +19,7 @@ use super::{
 use crate::{
     scene::Up,
     train::{
-        reduction::Trimmed,
+        reduction::ReductionReport,
         views::{ColouredPoint, Dataset, FreeSpace, Start},
     },
 };
@@ -42,13 +42,22 @@ pub(super) fn model(folder: &Path) -> Option<PathBuf> {
     MODELS.map(|model| folder.join(model)).into_iter().find(has_cameras)
 }
 
-pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Option<Trimmed>), DatasetError> {
+pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, ReductionReport), DatasetError> {
     let model = model(folder).unwrap_or_else(|| folder.join(MODELS[0]));
     let (extension, format) =
         if model.join("cameras.bin").is_file() { ("bin", Format::Binary) } else { ("txt", Format::Text) };
     let file = |name: &str| model.join(format!("{name}.{extension}"));
     let views = colmap::read(&read_bytes(&file("cameras"))?, &read_bytes(&file("images"))?, format)
         .map_err(|source| DatasetError::Cameras { path: model.clone(), source })?;
+    // They come in order of name.
+    if let Some(twice) = views.windows(2).find(|pair| pair[0].name == pair[1].name) {
+        return Err(DatasetError::Field {
+            path: file("images"),
+            field: "name of two images".to_owned(),
+            found: twice[0].name.clone(),
+            allowed: "each name once is allowed: one image could be both for training and for testing",
+        });
+    }
     let images = image_folder(folder)?;
     let paths: Vec<PathBuf> = views.iter().map(|view| image_path(&images, &view.name)).collect();
     let sizes = claimed_sizes(&paths)?;
@@ -103,7 +112,7 @@ pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Opt
         up: Up::MinusY,
         footprint: Footprint::Pixel,
     };
-    Ok((dataset, photographs.trimmed))
+    Ok((dataset, photographs.report))
 }
 
 /// The image of this name; of reduced copies, which are often JPEG, the one of this stem.
@@ -143,43 +152,100 @@ fn points(path: &Path, format: Format) -> Result<Vec<ColouredPoint>, DatasetErro
         Format::Binary => binary_points(&bytes),
         Format::Text => text_points(&bytes),
     };
-    let points: Option<Vec<ColouredPoint>> =
-        points.filter(|points| points.iter().all(|p| p.position.iter().all(|v| v.is_finite())));
-    points.filter(|points| !points.is_empty()).ok_or_else(|| DatasetError::Field {
-        path: path.to_owned(),
-        field: "list of points".to_owned(),
-        found: "empty, short or not finite".to_owned(),
-        allowed: "one point at least, each with place and colour, is needed",
-    })
+    points.and_then(|points| if points.is_empty() { Err(PointError::empty()) } else { Ok(points) }).map_err(
+        |PointError { field, found, allowed }| DatasetError::Field {
+            path: path.to_owned(),
+            field,
+            found,
+            allowed,
+        },
+    )
 }
 
-fn binary_points(bytes: &[u8]) -> Option<Vec<ColouredPoint>> {
-    let (count, mut rest) = bytes.split_at_checked(8)?;
-    let count = u64::from_le_bytes(count.try_into().ok()?);
-    let mut points = Vec::new();
-    for _ in 0..count {
-        let (point, after) = rest.split_at_checked(POINT_BYTES)?;
-        let number = |at: usize| Some(f64::from_le_bytes(point.get(at..at + 8)?.try_into().ok()?) as f32);
-        let position = [number(8)?, number(16)?, number(24)?];
-        let colour = [point[32], point[33], point[34]].map(|v| f32::from(v) / 255.0);
-        points.push(ColouredPoint { position, colour });
-        let track = u64::from_le_bytes(point[43..51].try_into().ok()?);
-        rest = after.get(usize::try_from(track).ok()?.checked_mul(TRACK_BYTES)?..)?;
+/// Points that cannot be read: which field of which of them.
+#[derive(Debug, PartialEq)]
+struct PointError {
+    field: String,
+    found: String,
+    allowed: &'static str,
+}
+
+impl PointError {
+    fn empty() -> Self {
+        let allowed = "one point at least, with place and colour, is needed";
+        Self { field: "list of points".to_owned(), found: "empty".to_owned(), allowed }
     }
-    Some(points)
+
+    fn position(of: &str, found: String) -> Self {
+        Self { field: format!("{of}: position"), found, allowed: "3 numbers up to 3.4e38 are needed" }
+    }
 }
 
-fn text_points(bytes: &[u8]) -> Option<Vec<ColouredPoint>> {
-    let text = std::str::from_utf8(bytes).ok()?;
-    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
-    let point = |line: &str| {
-        let mut words = line.split_ascii_whitespace().skip(1);
-        let mut next = || words.next()?.parse::<f32>().ok();
-        let position = [next()?, next()?, next()?];
-        let colour = [next()?, next()?, next()?].map(|v| v / 255.0);
-        Some(ColouredPoint { position, colour })
+fn binary_points(bytes: &[u8]) -> Result<Vec<ColouredPoint>, PointError> {
+    let short = |points: usize| PointError {
+        field: "list of points".to_owned(),
+        found: format!("{} bytes long and ends in point {points}, counted from 0", bytes.len()),
+        allowed: "as many points as its first 8 bytes say, and their tracks, are needed",
     };
-    lines.map(point).collect()
+    let (count, mut rest) = bytes.split_first_chunk::<8>().ok_or_else(|| short(0))?;
+    let count = u64::from_le_bytes(*count);
+    let mut points = Vec::new();
+    while (points.len() as u64) < count {
+        let index = points.len();
+        let (point, after) = binary_point(rest).ok_or_else(|| short(index))?;
+        if !point.position.iter().all(|v| v.is_finite()) {
+            return Err(PointError::position(&format!("point {index}"), format!("{:?}", point.position)));
+        }
+        points.push(point);
+        rest = after;
+    }
+    Ok(points)
+}
+
+/// The first point in `bytes`, and what comes after its track.
+fn binary_point(bytes: &[u8]) -> Option<(ColouredPoint, &[u8])> {
+    let (point, after) = bytes.split_at_checked(POINT_BYTES)?;
+    let number = |at: usize| Some(f64::from_le_bytes(point.get(at..at + 8)?.try_into().ok()?) as f32);
+    let position = [number(8)?, number(16)?, number(24)?];
+    let colour = [point[32], point[33], point[34]].map(|v| f32::from(v) / 255.0);
+    let track = u64::from_le_bytes(point[43..51].try_into().ok()?);
+    let after = after.get(usize::try_from(track).ok()?.checked_mul(TRACK_BYTES)?..)?;
+    Some((ColouredPoint { position, colour }, after))
+}
+
+fn text_points(bytes: &[u8]) -> Result<Vec<ColouredPoint>, PointError> {
+    let mut points = Vec::new();
+    for (index, line) in bytes.split(|&byte| byte == b'\n').enumerate() {
+        let line = String::from_utf8_lossy(line);
+        let line = line.trim();
+        if !line.is_empty() && !line.starts_with('#') {
+            points.push(text_point(&format!("line {}", index + 1), line)?);
+        }
+    }
+    Ok(points)
+}
+
+/// The point in the line that is called `of`.
+fn text_point(of: &str, line: &str) -> Result<ColouredPoint, PointError> {
+    let words: Vec<&str> = line.split_ascii_whitespace().collect();
+    let &[_, x, y, z, r, g, b, ..] = words.as_slice() else {
+        let found = format!("{:?}", line.chars().take(40).collect::<String>());
+        return Err(PointError {
+            field: of.to_owned(),
+            found,
+            allowed: "id, x, y, z, r, g and b are needed",
+        });
+    };
+    let numbers = |words: [&str; 3]| words.map(|word| word.parse::<f32>().unwrap_or(f32::NAN));
+    let (position, colour) = (numbers([x, y, z]), numbers([r, g, b]));
+    if !position.iter().all(|v| v.is_finite()) {
+        return Err(PointError::position(of, [x, y, z].join(" ")));
+    }
+    if !colour.iter().all(|v| (0.0..=255.0).contains(v)) {
+        let (field, found) = (format!("{of}: colour"), [r, g, b].join(" "));
+        return Err(PointError { field, found, allowed: "3 numbers of 0 to 255 are needed" });
+    }
+    Ok(ColouredPoint { position, colour: colour.map(|v| v / 255.0) })
 }
 
 #[cfg(test)]
@@ -197,9 +263,39 @@ mod tests {
         bytes.extend([0; 8]);
         let text = b"# id x y z r g b error track\n7 1.5 -2 0.25 255 0 51 0.3 1 2\n";
         let point = ColouredPoint { position: [1.5, -2.0, 0.25], colour: [1.0, 0.0, 0.2] };
-        assert_eq!(binary_points(&bytes), Some(vec![point]));
-        assert_eq!(text_points(text), Some(vec![point]));
-        assert_eq!(binary_points(&bytes[..bytes.len() - 1]), None);
-        assert_eq!(text_points(b"7 1.5 -2\n"), None);
+        assert_eq!(binary_points(&bytes), Ok(vec![point]));
+        assert_eq!(text_points(text), Ok(vec![point]));
+        let short = binary_points(&bytes[..bytes.len() - 1]).unwrap_err();
+        assert!(short.found.contains("66 bytes long and ends in point 0"), "{short:?}");
+        assert!(binary_points(&bytes[..7]).is_err());
+        bytes[16..24].copy_from_slice(&1e300f64.to_le_bytes());
+        let far = binary_points(&bytes).unwrap_err();
+        assert_eq!((far.field.as_str(), far.found.as_str()), ("point 0: position", "[inf, -2.0, 0.25]"));
+    }
+
+    #[test]
+    fn faults_of_points_are_named_by_line() {
+        for (line, field, found) in [
+            ("7 1.5 -2", "line 2", "\"7 1.5 -2\""),
+            ("7 nan 0 0 1 2 3 0", "line 2: position", "nan 0 0"),
+            ("7 1 1e300 0 1 2 3 0", "line 2: position", "1 1e300 0"),
+            ("7 1 x 0 1 2 3 0", "line 2: position", "1 x 0"),
+            ("7 0 0 0 nan 2 3 0", "line 2: colour", "nan 2 3"),
+            ("7 0 0 0 1 256 3 0", "line 2: colour", "1 256 3"),
+            ("7 0 0 0 1 2 -1 0", "line 2: colour", "1 2 -1"),
+        ] {
+            let error = text_points(format!("# points\n{line}\n").as_bytes()).unwrap_err();
+            assert_eq!((error.field.as_str(), error.found.as_str()), (field, found), "{line}");
+        }
+        assert_eq!(text_points(b"# none\r\n\n"), Ok(Vec::new()));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("points3D.txt");
+        std::fs::write(&path, "7 0 0 0 1 2 999\n").unwrap();
+        let error = points(&path, Format::Text).unwrap_err().to_string();
+        let said = "points3D.txt: line 1: colour is 1 2 999; 3 numbers of 0 to 255 are needed";
+        assert!(error.ends_with(said), "{error}");
+        std::fs::write(&path, "# none\n").unwrap();
+        let error = points(&path, Format::Text).unwrap_err().to_string();
+        assert!(error.contains("points3D.txt: list of points is empty; one point"), "{error}");
     }
 }

@@ -55,12 +55,32 @@ pub(super) fn name_of(path: &Path) -> String {
     path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
 }
 
-/// How much the ratios of an image's sides to those of its camera may differ.
-const ASPECT: f64 = 0.01;
-
-/// Whether an image of `width` × `height` is that of `camera`, or a larger or smaller copy.
+/// Whether an image of `width` × `height` is that of `camera`, or a larger or smaller copy whose sides were
+/// rounded: one of them, of the other by the camera's ratio, is off by less than a pixel.
 pub(super) fn is_copy(camera: &Camera, width: u32, height: u32) -> bool {
-    let across = f64::from(width) / f64::from(camera.width());
-    let down = f64::from(height) / f64::from(camera.height());
-    (across / down - 1.0).abs() <= ASPECT
+    let [of_width, of_height] = [camera.width(), camera.height()].map(u64::from);
+    let off = (u64::from(width) * of_height).abs_diff(u64::from(height) * of_width);
+    off < of_width.max(of_height)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cuts_are_no_copies() {
+        let is_copy = |camera: (u32, u32), image: (u32, u32)| {
+            let up = [0.0, -1.0, 0.0];
+            let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], up, 0.7, camera.0, camera.1).unwrap();
+            is_copy(&camera, image.0, image.1)
+        };
+        // Sides rounded to the nearest, down and up.
+        for image in [(2690, 2016), (672, 504), (673, 504), (672, 503), (5380, 4032), (336, 252)] {
+            assert!(is_copy((2690, 2016), image), "{image:?}");
+        }
+        assert!(is_copy((240, 320), (60, 80)) && is_copy((321, 241), (160, 120)));
+        for image in [(320, 238), (320, 239), (318, 240), (240, 320), (160, 119), (640, 478)] {
+            assert!(!is_copy((320, 240), image), "{image:?}");
+        }
+    }
 }

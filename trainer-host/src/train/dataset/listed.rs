@@ -18,7 +18,7 @@ use super::{
 };
 use crate::train::{
     pixel_mask::PixelMask,
-    reduction::{Reduction, Trimmed},
+    reduction::{Reduction, ReductionReport},
     views::{PosedPhotograph, Test, Training, Validation, Views},
 };
 
@@ -56,7 +56,8 @@ pub(super) struct Photographs {
     pub(super) test_scale: u32,
     /// Whether some photographs to train on are transparent somewhere.
     pub(super) has_alpha: bool,
-    pub(super) trimmed: Option<Trimmed>,
+    /// How they were reduced.
+    pub(super) report: ReductionReport,
 }
 
 impl Listed {
@@ -65,13 +66,32 @@ impl Listed {
     pub(super) fn read(&self, max_side: Option<u32>) -> Result<Photographs, DatasetError> {
         let splits = [&self.train, &self.validation, &self.test];
         let sizes: Vec<(u32, u32)> = splits.into_iter().flatten().map(|listed| listed.size).collect();
-        let (reduction, trimmed) =
-            max_side.map_or((Reduction::NONE, None), |max_side| Reduction::of(&sizes, max_side));
+        let whole = (Reduction::NONE, ReductionReport::default());
+        let (reduction, report) = max_side.map_or(whole, |max_side| Reduction::of(&sizes, max_side));
         let (of_test, test_scale) = reduction.doubled();
         let (train, has_alpha) = self.views(&self.train, reduction)?;
+        self.check_counted(&train)?;
         let (validation, _) = self.views(&self.validation, reduction)?;
         let (test, _) = self.views(&self.test, of_test)?;
-        Ok(Photographs { train, validation, test, test_scale, has_alpha, trimmed })
+        Ok(Photographs { train, validation, test, test_scale, has_alpha, report })
+    }
+
+    /// Refuses photographs to train on whose masks together leave no pixel that counts.
+    fn check_counted(&self, train: &Views<Training>) -> Result<(), DatasetError> {
+        let counts =
+            |view: &PosedPhotograph| view.counted.as_ref().is_none_or(|mask| mask.values().contains(&255));
+        let photographs = train.photographs();
+        let Some(first) = photographs.first().filter(|_| !photographs.iter().any(counts)) else {
+            return Ok(());
+        };
+        let mask = self.train.iter().find_map(|listed| listed.counted.clone());
+        let (width, height) = (first.photograph.width(), first.photograph.height());
+        Err(DatasetError::Field {
+            path: mask.unwrap_or_else(|| self.folder.clone()),
+            field: format!("mask, as those of all {} photographs to train on,", photographs.len()),
+            found: format!("without a pixel that counts at {width} x {height}"),
+            allowed: "at least 1 is needed: white in all that it covers",
+        })
     }
 
     /// One split, and whether something is transparent.

@@ -3,18 +3,22 @@
 //! black where it shows foreground.
 //!
 //! A meta file has `w` and `h` (pixels) and, by frame and camera, `k` (3 × 3), `w2c` (4 × 4, OpenCV axes),
-//! `fn` (file name under `ims`) and `cam_id`. Frame `i` of `n` is at time `i / (n - 1)`.
+//! `fn` (file name under `ims`) and `cam_id`. Frame `i` is at time `i / (n - 1)`, where `n` is how many
+//! frames `train_meta.json` has: `test_meta.json` may end before it.
 
 use std::{
     collections::BTreeSet,
-    path::{Path, PathBuf},
+    path::{Component, Path, PathBuf},
 };
 
 use codec_core::Footprint;
 use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use render_host::{Camera, camera::View};
-use serde::Deserialize;
+use serde::{
+    Deserialize,
+    de::{DeserializeOwned, IgnoredAny},
+};
 
 use super::{
     error::DatasetError,
@@ -24,7 +28,7 @@ use super::{
 use crate::{
     scene::Up,
     train::{
-        reduction::Trimmed,
+        reduction::ReductionReport,
         views::{ColouredPoint, Dataset, FreeSpace, PosedPhotograph, Start},
     },
 };
@@ -56,7 +60,14 @@ struct Meta {
     names: Vec<Vec<String>>,
 }
 
-pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Option<Trimmed>), DatasetError> {
+/// How many frames a meta file has.
+#[derive(Deserialize)]
+struct Frames {
+    #[serde(rename = "fn")]
+    names: Vec<IgnoredAny>,
+}
+
+pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, ReductionReport), DatasetError> {
     let has_test = folder.join(TEST).is_file();
     let listed = Listed {
         folder: folder.to_owned(),
@@ -88,25 +99,43 @@ pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Opt
         up: Up::MinusY,
         footprint: Footprint::Pixel,
     };
-    Ok((dataset, photographs.trimmed))
+    Ok((dataset, photographs.report))
 }
 
-/// The cameras of a meta file, frame after frame, with their times.
+/// What the meta file at `path` says.
+fn parsed<T: DeserializeOwned>(path: &Path) -> Result<T, DatasetError> {
+    serde_json::from_slice(&read_bytes(path)?).map_err(|error| DatasetError::Field {
+        path: path.to_owned(),
+        field: "JSON".to_owned(),
+        found: error.to_string(),
+        allowed: "w, h, k, w2c and fn, by frame and camera, are needed",
+    })
+}
+
+/// The cameras of a meta file, frame after frame, with their times: those of a `test_meta.json` are times of
+/// the clip of the `train_meta.json` beside it, if there is one.
 ///
 /// # Errors
-/// A file that cannot be read, or is none, by field.
+/// A file that cannot be read, or is none, by field; one for testing with more frames than that for training.
 pub fn cameras(path: &Path) -> Result<Vec<View>, DatasetError> {
-    let bytes = read_bytes(path)?;
     let refused = |field: String, found: String, allowed| DatasetError::Field {
         path: path.to_owned(),
         field,
         found,
         allowed,
     };
-    let meta: Meta = serde_json::from_slice(&bytes).map_err(|error| {
-        refused("JSON".to_owned(), error.to_string(), "w, h, k, w2c and fn, by frame and camera, are needed")
-    })?;
-    let frames = meta.names.len();
+    let meta: Meta = parsed(path)?;
+    let training = path.with_file_name(TRAINING);
+    let is_test = path.file_name().is_some_and(|name| name == TEST);
+    let frames = if is_test && training.is_file() {
+        parsed::<Frames>(&training)?.names.len()
+    } else {
+        meta.names.len()
+    };
+    if meta.names.len() > frames {
+        let found = format!("{} frames long, where {TRAINING} has {frames}", meta.names.len());
+        return Err(refused("fn".to_owned(), found, "at most as many are allowed"));
+    }
     let mut wanted = Vec::new();
     for (frame, names) in meta.names.iter().enumerate() {
         let (Some(k), Some(w2c)) = (meta.k.get(frame), meta.w2c.get(frame)) else {
@@ -135,6 +164,19 @@ pub fn cameras(path: &Path) -> Result<Vec<View>, DatasetError> {
 
 fn split(folder: &Path, file: &str) -> Result<Vec<ListedPhotograph>, DatasetError> {
     let views = cameras(&folder.join(file))?;
+    // The mask of an image has its name in `seg`: a name that leads out of `ims` leads out of that too, and
+    // may make an image its own mask.
+    let is_inside = |name: &str| {
+        Path::new(name).components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
+    };
+    if let Some(view) = views.iter().find(|view| !is_inside(&view.name)) {
+        return Err(DatasetError::Field {
+            path: folder.join(file),
+            field: "fn".to_owned(),
+            found: view.name.clone(),
+            allowed: "the path of an image within ims, such as 3/000001.jpg, is needed",
+        });
+    }
     let paths: Vec<PathBuf> = views.iter().map(|view| folder.join("ims").join(&view.name)).collect();
     let sizes = claimed_sizes(&paths)?;
     let listed = views.into_iter().zip(paths).zip(sizes).map(|((view, image), size)| {

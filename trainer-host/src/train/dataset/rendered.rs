@@ -39,6 +39,14 @@ impl Default for RenderedOptions {
 /// A scene that cannot be rendered.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RenderedError {
+    /// Nothing that a picture could show.
+    #[error("{name}: none of its {frames} frames has Gaussians; at least one Gaussian is needed")]
+    Empty {
+        /// What the scene is called.
+        name: String,
+        /// Frames of the scene.
+        frames: usize,
+    },
     /// A side that the camera refuses.
     #[error("side: {0}")]
     Camera(#[from] CameraError),
@@ -61,21 +69,22 @@ pub enum RenderedError {
 /// Renders `scene`, called `name`. Cameras for testing stand at least 6 degrees from all others.
 ///
 /// # Errors
-/// A side that is out of range, or a frame that no picture can show.
+/// A side that is out of range, a frame that no picture can show, or no frame that has Gaussians.
 pub fn rendered(scene: &Scene, name: &str, options: &RenderedOptions) -> Result<Dataset, RenderedError> {
+    if scene.max_count() == 0 {
+        return Err(RenderedError::Empty { name: name.to_owned(), frames: scene.frames() });
+    }
     let framing = Framing::of(scene);
     let size = (options.side, options.side);
     let train = photographs(scene, &framing.around(options.cameras, size)?)?;
     let test = photographs(scene, &framing.ring(Ring::HeldOut, options.test_cameras, size)?)?;
-    let middle = scene.instant(scene.frames() / 2).unwrap_or_default();
-    let degree = middle.sh_degree;
     Ok(Dataset {
         name: name.to_owned(),
         train: Views::new(train)?,
         validation: Views::new(Vec::new())?,
         test: Views::new(test)?,
         test_scale: 1,
-        start: Start::Gaussians(middle, degree),
+        start: start(scene, scene.frames() / 2),
         free_space: FreeSpace::default(),
         has_alpha: true,
         frames: scene.frames(),
@@ -86,21 +95,29 @@ pub fn rendered(scene: &Scene, name: &str, options: &RenderedOptions) -> Result<
 
 /// `frames` of what was rendered of `scene`, as a clip of their own.
 pub fn part(dataset: &Dataset, scene: &Scene, frames: Range<usize>) -> Dataset {
-    let middle = scene.instant(frames.start + frames.len() / 2).unwrap_or_default();
-    let degree = middle.sh_degree;
     Dataset {
         name: dataset.name.clone(),
         train: dataset.train.part(dataset.frames, &frames),
         validation: dataset.validation.part(dataset.frames, &frames),
         test: dataset.test.part(dataset.frames, &frames),
         test_scale: dataset.test_scale,
-        start: Start::Gaussians(middle, degree),
+        start: start(scene, frames.start + frames.len() / 2),
         free_space: dataset.free_space.clone(),
         has_alpha: dataset.has_alpha,
         frames: frames.len(),
         up: dataset.up,
         footprint: dataset.footprint,
     }
+}
+
+/// The Gaussians of the frame nearest to `middle` that has some: a sequence may be empty at some frames.
+fn start(scene: &Scene, middle: usize) -> Start {
+    let count = |frame: usize| scene.locate(frame).map_or(0, |(epoch, _)| scene.epochs()[epoch].count());
+    let shown = (0..scene.frames()).filter(|&frame| count(frame) > 0);
+    let nearest = shown.min_by_key(|frame| frame.abs_diff(middle)).unwrap_or(middle);
+    let instant = scene.instant(nearest).unwrap_or_default();
+    let degree = instant.sh_degree;
+    Start::Gaussians(instant, degree)
 }
 
 /// What every camera sees of every frame.
@@ -139,4 +156,46 @@ fn photographs(scene: &Scene, cameras: &[Camera]) -> Result<Vec<PosedPhotograph>
     let all: Vec<Vec<PosedPhotograph>> =
         (0..frames).into_par_iter().map(of_frame).collect::<Result<_, _>>()?;
     Ok(all.into_iter().flatten().collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        import::{Limits, synth},
+        scene::Epoch,
+    };
+
+    /// A clip of some balls, a frame each, with Gaussians where `shown` says so.
+    fn clip(shown: &[bool]) -> Scene {
+        let options = synth::SynthOptions {
+            kind: synth::SynthKind::Balls,
+            gaussians: 1000,
+            frames: 1,
+            ..synth::SynthOptions::default()
+        };
+        let balls = synth::make(&options, &Limits::default()).unwrap();
+        let epoch = |&shown: &bool| if shown { balls.epochs()[0].clone() } else { Epoch::empty() };
+        Scene::new(shown.iter().map(epoch).collect(), 30.0).unwrap()
+    }
+
+    fn started(dataset: &Dataset) -> usize {
+        match &dataset.start {
+            Start::Gaussians(instant, _) => instant.gaussians.len(),
+            _ => 0,
+        }
+    }
+
+    #[test]
+    fn a_start_is_of_a_frame_that_has_gaussians() {
+        let options = RenderedOptions { cameras: 1, test_cameras: 1, side: 16 };
+        let scene = clip(&[false, true, false, false]);
+        let dataset = rendered(&scene, "clip", &options).unwrap();
+        let count = scene.max_count();
+        assert!(count > 0 && started(&dataset) == count, "{} of {count}", started(&dataset));
+        assert_eq!(started(&part(&dataset, &scene, 0..2)), count);
+        assert_eq!(started(&part(&dataset, &scene, 2..4)), count, "of the part before");
+        let error = rendered(&clip(&[false; 3]), "clip", &options).unwrap_err().to_string();
+        assert_eq!(error, "clip: none of its 3 frames has Gaussians; at least one Gaussian is needed");
+    }
 }

@@ -4,9 +4,10 @@ use super::Playback;
 use crate::socket::{message::ClientMessage, served_stream::time_us};
 
 impl Playback {
-    /// A connection is made.
+    /// A connection is made, and a round begins with it.
     pub(crate) fn connected(&mut self) {
         self.report.connections += 1;
+        self.report.rounds += 1;
     }
 
     /// Frames shown so far.
@@ -17,7 +18,6 @@ impl Playback {
     /// The connection is gone and another is to be made: playout goes on from the frame that is due, whatever
     /// window it lies in.
     pub(in crate::socket) fn reconnect(&mut self) {
-        self.report.rounds += 1;
         let frame = self.first + self.receiver.next_frame();
         self.anew = false;
         self.begin(0, time_us(frame, self.interval), frame);

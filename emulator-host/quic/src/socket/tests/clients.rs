@@ -74,7 +74,7 @@ fn who_leaves_before_a_hello_is_not_refused() {
 #[test]
 fn who_says_nothing_is_closed_and_who_stops_in_a_hello_too() {
     within(async {
-        let hello_wait = Duration::from_millis(200);
+        let hello_wait = Duration::from_secs(2);
         let server = Running::start(ServerLimits { hello_wait, ..ServerLimits::default() });
         let (_silent_endpoint, silent) = server.connect().await;
         let (_slow_endpoint, slow) = server.connect().await;
@@ -82,9 +82,9 @@ fn who_says_nothing_is_closed_and_who_stops_in_a_hello_too() {
         send.write_all(&hello()[..6]).await.unwrap();
         assert_eq!(closed_by(&silent).await, RefusalCode::Silence);
         assert_eq!(closed_by(&slow).await, RefusalCode::Silence);
-        server.shows_every_frame().await;
+        let late = server.shows_every_frame_in_the_end().await;
         let (report, _) = server.stop().await;
-        assert_eq!(refusals(&report, RefusalCode::Silence), 2, "{report:?}");
+        assert!((2..=2 + late).contains(&refusals(&report, RefusalCode::Silence)), "{late} late, {report:?}");
     });
 }
 
@@ -151,7 +151,8 @@ fn datagrams_that_are_no_quic_change_nothing_and_are_counted() {
 fn a_client_that_is_killed_frees_its_place() {
     let runtime = Runtime::new().unwrap();
     let victims = Runtime::new().unwrap();
-    let limits = ServerLimits { max_viewers: 1, idle: Duration::from_secs(1), ..ServerLimits::default() };
+    // Short, and yet no bound that a handshake on a busy machine comes near to.
+    let limits = ServerLimits { max_viewers: 1, idle: Duration::from_secs(4), ..ServerLimits::default() };
     let server = runtime.block_on(async { Running::start(limits) });
     victims.block_on(async {
         let (endpoint, connection) = server.connect().await;
@@ -171,7 +172,7 @@ fn a_client_that_is_killed_frees_its_place() {
                 tokio::time::sleep(Duration::from_millis(50)).await;
             }
         };
-        tokio::time::timeout(Duration::from_secs(20), freed).await.unwrap();
+        tokio::time::timeout(Duration::from_secs(60), freed).await.unwrap();
         let (report, viewers) = server.stop().await;
         // On a busy machine one more may be silent for so long.
         assert!(report.viewers >= 2, "{viewers:?}");
@@ -182,7 +183,8 @@ fn a_client_that_is_killed_frees_its_place() {
 #[test]
 fn one_address_takes_only_its_own_places_and_who_is_there_stays() {
     within(async {
-        let limits = ServerLimits { max_viewers_per_address: 2, ..ServerLimits::default() };
+        let limits =
+            ServerLimits { max_viewers_per_address: 2, hello_wait: PATIENCE, ..ServerLimits::default() };
         let server = Running::start(limits);
         let mut watching = Vec::new();
         for _ in 0..2 {
@@ -215,7 +217,7 @@ fn one_address_takes_only_its_own_places_and_who_is_there_stays() {
 #[test]
 fn a_full_server_has_addresses_proved_and_turns_the_rest_away() {
     within(async {
-        let limits = ServerLimits { max_viewers: 2, ..ServerLimits::default() };
+        let limits = ServerLimits { max_viewers: 2, hello_wait: PATIENCE, ..ServerLimits::default() };
         let server = Running::start(limits);
         let mut open = Vec::new();
         for _ in 0..18 {

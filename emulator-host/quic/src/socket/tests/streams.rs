@@ -251,10 +251,7 @@ fn datagrams_that_never_come_are_replaced_by_streams() {
                 let _ = connection.closed().await;
             })
         };
-        let patient = |config: &mut ClientConfig| {
-            config.silence = Duration::from_secs(5);
-            config.startup.max_wait = Nanos::from_s(20);
-        };
+        let patient = |config: &mut ClientConfig| config.startup.max_wait = Nanos::from_s(20);
         let report = played(talk, patient).await.whole().unwrap();
         assert_eq!(report.packets, packets().len() as u64, "{report:?}");
         assert!(report.base_miss_rate == 0.0 && report.refused <= 2, "{report:?}");

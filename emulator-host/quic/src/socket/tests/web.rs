@@ -109,8 +109,10 @@ fn a_refusal_is_the_code_with_which_the_session_closes() {
 #[test]
 fn what_is_no_webtransport_is_refused_by_name() {
     within(async {
-        let hello_wait = Duration::from_millis(500);
-        let server = Running::start(ServerLimits { hello_wait, ..ServerLimits::default() });
+        // Who says nothing must not wait long, and whoever says something must not be late.
+        let limits = |hello_wait| ServerLimits { hello_wait, ..ServerLimits::default() };
+        let impatient = Running::start(limits(Duration::from_secs(2)));
+        let server = Running::start(limits(PATIENCE));
         let mut bare = Vec::new();
         Settings::default().encode(&mut bare);
         let mut qpack = Vec::new();
@@ -135,7 +137,8 @@ fn what_is_no_webtransport_is_refused_by_name() {
             (&agreed, &connect(), &head(Frame::WEBTRANSPORT, 4), RefusalCode::Message),
             (&agreed, &connect(), &head(Frame::DATA, 0), RefusalCode::Message),
         ] {
-            let (_endpoint, connection) = server.connect_by(Scheme::Https).await;
+            let addressed = if code == RefusalCode::Silence { &impatient } else { &server };
+            let (_endpoint, connection) = addressed.connect_by(Scheme::Https).await;
             let mut control = connection.open_uni().await.unwrap();
             control.write_all(settings).await.unwrap();
             let mut streams = Vec::new();
@@ -148,7 +151,11 @@ fn what_is_no_webtransport_is_refused_by_name() {
         }
         server.shows_every_frame().await;
         let (report, viewers) = server.stop().await;
-        assert_eq!((report.refused.values().sum::<u64>(), viewers.len()), (13, 1), "{report:?}");
+        assert_eq!((report.refused.values().sum::<u64>(), viewers.len()), (10, 1), "{report:?}");
+        let late = impatient.shows_every_frame_in_the_end().await;
+        let (report, viewers) = impatient.stop().await;
+        let refused = report.refused.values().sum::<u64>();
+        assert!((3..=3 + late).contains(&refused) && !viewers.is_empty(), "{late} late, {report:?}");
     });
 }
 

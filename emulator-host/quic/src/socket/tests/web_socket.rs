@@ -126,7 +126,7 @@ fn a_websocket_carries_manifest_media_and_receipts() {
             assert_eq!(usable.canonical[0], usable.blocks, "frame {frame}");
         }
         // What is said on the control stream may overtake a datagram, here as over QUIC.
-        tokio::time::sleep(Duration::from_millis(500)).await;
+        tokio::time::sleep(Duration::from_secs(2)).await;
         socket.send(frame(0, &ClientMessage::Bye.to_bytes())).await.unwrap();
         assert_eq!(listen(&mut socket, usize::MAX).await.code, Some(1000));
         let (report, viewers) = server.stop().await;
@@ -138,9 +138,11 @@ fn a_websocket_carries_manifest_media_and_receipts() {
 #[test]
 fn what_is_no_session_is_refused_by_name() {
     within(async {
-        let hello_wait = Duration::from_millis(500);
-        let server = Running::start(ServerLimits { hello_wait, ..ServerLimits::default() });
-        let pages = Pages::start(&server);
+        // Who says nothing must not wait long, and whoever says something must not be late.
+        let limits = |hello_wait| ServerLimits { hello_wait, ..ServerLimits::default() };
+        let impatient = Running::start(limits(Duration::from_secs(2)));
+        let server = Running::start(limits(PATIENCE));
+        let (hurried, pages) = (Pages::start(&impatient), Pages::start(&server));
         let seek = ClientMessage::Seek { round: 1, start_us: 0 }.to_bytes();
         let claimed = [&[1u8][..], &u32::MAX.to_le_bytes()].concat();
         for (said, code) in [
@@ -151,7 +153,8 @@ fn what_is_no_session_is_refused_by_name() {
             (Some(hello(9)), RefusalCode::UnknownStream),
             (Some(frame(1, b"no receipt before hello")), RefusalCode::Silence),
         ] {
-            let mut socket = pages.open().await;
+            let is_silent = code == RefusalCode::Silence;
+            let mut socket = if is_silent { hurried.open().await } else { pages.open().await };
             if let Some(message) = said.clone() {
                 socket.send(message).await.unwrap();
             }
@@ -171,6 +174,8 @@ fn what_is_no_session_is_refused_by_name() {
         }
         server.shows_every_frame().await;
         server.stop().await;
+        impatient.shows_every_frame_in_the_end().await;
+        impatient.stop().await;
     });
 }
 
@@ -204,7 +209,7 @@ fn floods_end_in_a_refusal() {
 #[test]
 fn pages_of_other_sites_get_no_websocket_and_places_are_counted() {
     within(async {
-        let limits = ServerLimits { max_viewers: 1, ..ServerLimits::default() };
+        let limits = ServerLimits { max_viewers: 1, hello_wait: PATIENCE, ..ServerLimits::default() };
         let server = Running::start(limits);
         let pages = Pages::start(&server);
         let status = |answer: Result<Socket, Error>| match answer {
@@ -241,7 +246,8 @@ fn pages_of_other_sites_get_no_websocket_and_places_are_counted() {
 #[test]
 fn one_address_does_not_take_all_places() {
     within(async {
-        let limits = ServerLimits { max_viewers_per_address: 2, ..ServerLimits::default() };
+        let limits =
+            ServerLimits { max_viewers_per_address: 2, hello_wait: PATIENCE, ..ServerLimits::default() };
         let server = Running::start(limits);
         let pages = Pages::start(&server);
         let mut open = Vec::new();

@@ -1,5 +1,9 @@
 //! Compares schedulers window by window, with intervals that respect that windows of one trace are alike.
 
+use dgs::figures::mean;
+
+use crate::figures::bootstrap95;
+
 /// One window: its family, its trace, and one value per scheduler.
 #[derive(Clone, Debug)]
 pub(super) struct Window<T> {
@@ -47,7 +51,7 @@ pub(super) fn clustered<T>(
 }
 
 /// Families in which scheduler `one` is better than `other`, those in which it is so beyond doubt (the whole
-/// interval above 0), and those in which it is worse beyond doubt.
+/// interval above 0), and those in which it is worse beyond doubt, which nothing is of one window; and all.
 pub(super) fn families<T: Clone>(windows: &[Window<T>], gain: &dyn Fn(&Window<T>) -> f64) -> [usize; 4] {
     let mut names: Vec<&str> = windows.iter().map(|window| window.family).collect();
     names.sort_unstable();
@@ -56,17 +60,14 @@ pub(super) fn families<T: Clone>(windows: &[Window<T>], gain: &dyn Fn(&Window<T>
     for name in names {
         let own: Vec<Window<T>> = windows.iter().filter(|window| window.family == name).cloned().collect();
         // Within a family windows are what is drawn: few have more than one trace.
-        let (mean, [low, high]) = resampled(&own.iter().map(gain).collect::<Vec<f64>>());
-        counts[0] += usize::from(mean > 0.0);
-        counts[1] += usize::from(low > 0.0);
-        counts[2] += usize::from(high < 0.0);
+        let gains: Vec<f64> = own.iter().map(gain).collect();
+        counts[0] += usize::from(mean(&gains) > 0.0);
+        if let Some([low, high]) = bootstrap95(&gains, mean, 17) {
+            counts[1] += usize::from(low > 0.0);
+            counts[2] += usize::from(high < 0.0);
+        }
     }
     counts
-}
-
-fn resampled(values: &[f64]) -> (f64, [f64; 2]) {
-    let mean = dgs::figures::mean(values);
-    (mean, crate::figures::bootstrap95(values, dgs::figures::mean, 17).unwrap_or([mean, mean]))
 }
 
 /// Spearman's rank correlation; `NaN` if either side does not vary.
@@ -101,7 +102,7 @@ mod tests {
         values.iter().map(window).collect()
     }
 
-    fn mean(sample: &[&Window<f64>]) -> f64 {
+    fn mean_of(sample: &[&Window<f64>]) -> f64 {
         sample.iter().map(|window| window.runs[0]).sum::<f64>() / sample.len() as f64
     }
 
@@ -111,7 +112,7 @@ mod tests {
         let alike: Vec<(usize, f64)> = (0..30).map(|at| (at / 10, (at / 10) as f64)).collect();
         let apart: Vec<(usize, f64)> = (0..30).map(|at| (at, (at / 10) as f64)).collect();
         let width = |values| {
-            let (centre, [low, high]) = clustered(&windows(values), &mean);
+            let (centre, [low, high]) = clustered(&windows(values), &mean_of);
             assert!((centre - 1.0).abs() < 1e-12 && low <= centre && centre <= high);
             high - low
         };
@@ -122,7 +123,10 @@ mod tests {
     fn families_are_counted_by_sign_and_certainty() {
         let values: Vec<(usize, f64)> =
             (0..30).map(|at| (at % 3, [1.0, -1.0, if at % 2 == 0 { 2.0 } else { -1.9 }][at % 3])).collect();
-        assert_eq!(families(&windows(&values), &|window| window.runs[0]), [2, 1, 1, 3]);
+        let counts = |values: &[(usize, f64)]| families(&windows(values), &|window| window.runs[0]);
+        assert_eq!(counts(&values), [2, 1, 1, 3]);
+        // One window of each says nothing for certain.
+        assert_eq!(counts(&values[..3]), [2, 0, 0, 3]);
     }
 
     #[test]
