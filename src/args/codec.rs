@@ -29,17 +29,20 @@ pub struct CodecArgs {
         allow_negative_numbers = true
     )]
     pub coarseness: f32,
-    /// Choose the coarseness: at most this many bits per Gaussian on the wire, as close as possible.
+    /// Choose the coarseness, 0.001 to 1024: at most this many bits per Gaussian on the wire, as close as up
+    /// to 8 encodings come; a scene with less to say takes fewer.
     #[arg(
         long, value_name = "BITS", group = "fineness", value_parser = positive,
         allow_negative_numbers = true
     )]
     pub target_bits_per_gaussian: Option<f64>,
-    /// Choose the coarseness: at most this many bytes on the wire (manifest, packets and parity).
+    /// Choose the coarseness, 0.001 to 1024: at most this many bytes on the wire (manifest, packets and
+    /// parity), as close as up to 8 encodings come; a scene with less to say takes fewer.
     #[arg(long, value_name = "BYTES", group = "fineness", value_parser = whole::<u64>(1..=u64::MAX, "bytes"))]
     pub target_bytes: Option<u64>,
-    /// Choose the coarseness: at least this PSNR in dB, above 0 and at most 99, from validation (never
-    /// held-out) cameras; a picture counts by the share of it that the scene covers.
+    /// Choose the coarseness, 0.001 to 1024, in up to 8 encodings: at least this PSNR in dB, above 0 and at
+    /// most 99, from validation (never held-out) cameras; a picture counts by the share of it that the scene
+    /// covers.
     #[arg(
         long, value_name = "DB", group = "fineness", value_parser = real(MIN_PSNR_DB..=99.0, "dB"),
         allow_negative_numbers = true
@@ -49,9 +52,10 @@ pub struct CodecArgs {
     /// 1024; 0: the same steps for all.
     #[arg(long, default_value_t = PICTURES, value_parser = whole::<usize>(0..=1024, "pictures"))]
     pub pictures: usize,
-    /// Spend up to this many trial encodings on how attributes share the bits: fewer bytes at the same PSNR
-    /// from validation cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
-    #[arg(long, value_name = "ENCODINGS", default_value_t = 0)]
+    /// Spend up to this many trial encodings, 4 to 500, on how attributes share the bits: fewer bytes at the
+    /// same PSNR from validation cameras, or a higher one at a target size. Up to 8 more encodings then come
+    /// back to that PSNR, or meet the target if one is given. 24 are a good start; 0 is no search.
+    #[arg(long, value_name = "ENCODINGS", default_value_t = 0, value_parser = trial_encodings)]
     pub search: usize,
     /// Most Gaussians in a cluster: 1 to 32768. Sets of more than 192 that are spread out are cut whatever is
     /// allowed; a note says so where no cluster comes near the bound.
@@ -80,6 +84,14 @@ pub struct CodecArgs {
     /// [default: standard in stream, demo and serve, where it is sent; none elsewhere].
     #[arg(long, value_parser = Protection::parse)]
     pub repair: Option<Protection>,
+}
+
+/// Parses the most trial encodings of a search: with fewer than 4 no step could be compared with another.
+fn trial_encodings(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(most @ (0 | 4..=500)) => Ok(most),
+        _ => Err("4 to 500 trial encodings, or 0 for no search, is allowed".to_owned()),
+    }
 }
 
 impl CodecArgs {
@@ -146,4 +158,21 @@ pub enum ProfileName {
     PaperContext,
     /// This project's format.
     Dgs1,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::trial_encodings;
+
+    /// Trials that would do nothing are refused, as are more than an encoding spends.
+    #[test]
+    fn a_search_has_no_trials_or_enough() {
+        for text in ["1", "2", "3", "501", "-4", "4.5", "many", ""] {
+            let refused = trial_encodings(text).unwrap_err();
+            assert_eq!(refused, "4 to 500 trial encodings, or 0 for no search, is allowed", "{text}");
+        }
+        for most in [0, 4, 24, 500] {
+            assert_eq!(trial_encodings(&most.to_string()), Ok(most));
+        }
+    }
 }

@@ -96,8 +96,8 @@ pub struct Serve {
     pub idle: u64,
     /// An emulated link before every viewer: a capacity trace, or a list of loss=5%, burst=PACKETS,
     /// rate=5mbit, delay=40ms, jitter=5ms, queue=250ms, trace=FILE, light=40mbit/15kB/100ms (the first 15 kB
-    /// after a pause of 100 ms pass at 40 Mbit/s, as on cellular links), seed=1. What viewers send is left
-    /// alone.
+    /// after a pause of 100 ms pass at 40 Mbit/s, as on cellular links), seed=1. Traces begin with each
+    /// viewer. What viewers send is left alone.
     #[arg(long, value_name = "LINK")]
     pub impair: Option<String>,
     /// Add a line of JSON to this file for every viewer that has left, at once: it outlives this process

@@ -14,7 +14,7 @@ use trainer_host::{
     stream::decoded,
 };
 
-use self::format::{FrameRun, FrameToWrite, SceneOutput};
+use self::format::{FrameRun, FrameToWrite, SceneOutput, WrittenScene};
 use crate::{
     args::{Convert, SceneArgs},
     figures::counted,
@@ -74,7 +74,9 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
         }
     };
     drop(progress);
-    let mut text = wrote;
+    let WrittenScene { mut text, notes } = wrote;
+    // First what was read, then what that is written as.
+    let notes: Vec<&String> = scene.notes.iter().chain(&notes).collect();
     if before != (scene.max_count(), scene.frames()) {
         text += &format!(
             "  {} in {} became {} in {}\n",
@@ -85,7 +87,7 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
         );
     }
     text += &format!("  {turned}\n");
-    for note in &scene.notes {
+    for note in &notes {
         text += &format!("  note: {note}\n");
     }
     // A file holds one frame, and its Gaussians.
@@ -102,7 +104,7 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
         "input": args.input, "out": files::shown(&args.out),
         "buffer": buffer.as_deref().map(files::shown),
         "gaussians": gaussians, "frame": only, "frames": count,
-        "bytes": bytes, "axes": turned, "notes": scene.notes, "warnings": warnings,
+        "bytes": bytes, "axes": turned, "notes": notes, "warnings": warnings,
     });
     Ok(VerbOutput { text, json, warnings, damaged })
 }

@@ -94,10 +94,12 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
             Ok(FrameToWrite { epoch, t: 0, has_rows_of_last })
         });
         // What was damaged may be why nothing can be written.
-        text += &written.map_err(|error| match warnings.join("; ") {
+        let written = written.map_err(|error| match warnings.join("; ") {
             damage if damage.is_empty() => error,
             damage => error.context(format!("{}: {damage}", args.input.display())),
         })?;
+        text += &written.text;
+        notes.extend(written.notes);
         text += &format!("  axes are the stream's, with {} up: dgs convert turns them\n", frames.up());
         let said = left_out.sentence(&frames);
         if frames.has_all_bases() { notes.extend(said) } else { warnings.extend(said) }

@@ -7,7 +7,9 @@ use render_host::Backend;
 use serde_json::json;
 use trainer_host::{
     Scene, Stream,
-    encode::{Decisions, EncodeOptions, Encoded, PacketReport, Protection, Report, TargetViews},
+    encode::{
+        COARSENESS, Decisions, EncodeOptions, Encoded, PacketReport, Protection, Report, Target, TargetViews,
+    },
     evaluator::{self, Segment},
     stream::PacketMap,
     train::dataset,
@@ -48,6 +50,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         EncodeOptions { device, target_views, ..pipeline::encode_options(&args.codec, Protection::NONE) };
     let coded = Coded::of(args, &loaded.scene, &options, quiet)?;
     loaded.scene.notes.extend(cluster_size_note(args, &coded.encoded.report));
+    loaded.scene.notes.extend(finest_note(&coded.encoded.report));
     let stream = &coded.encoded.stream;
     if let Some(path) = &args.decisions_out {
         files::write(path, serde_json::to_string(&coded.encoded.decisions)?.as_bytes())?;
@@ -290,6 +293,25 @@ fn cluster_size_note(args: &Encode, report: &Report) -> Option<String> {
              Gaussians, however many are allowed",
             counted(c.largest, "Gaussian"),
             c.options.min_gaussians
+        )
+    })
+}
+
+/// Share of a target size below which a stream is not close to it.
+const CLOSE: f64 = 0.98;
+
+/// What is said of a target size that is more than the scene takes at any coarseness.
+fn finest_note(report: &Report) -> Option<String> {
+    let reached = report.reached?;
+    let is_size = !matches!(reached.target, Target::PsnrDb(_));
+    let is_at_end = reached.coarseness <= COARSENESS.0 && reached.value < CLOSE * reached.target.value();
+    (is_size && is_at_end).then(|| {
+        format!(
+            "{} is {}: coarseness {}, the finest that is tried, comes to {}",
+            reached.target.name(),
+            number(reached.target.value()),
+            reached.coarseness,
+            number(reached.value)
         )
     })
 }

@@ -93,7 +93,8 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
             format!("; one way {:.0} ms, 95 % within {:.0} ms", median.as_ms(), tail.as_ms())
         }),
         mean_rate.map_or(String::new(), |rate| {
-            format!("; the link could carry {} on average", pipeline::rate_words(rate))
+            let at_most = if link.config.forward.light.is_some() { " at most" } else { "" };
+            format!("; the link could carry {}{at_most} on average", pipeline::rate_words(rate))
         }),
     );
     let mut json = json!({

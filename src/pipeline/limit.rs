@@ -1,6 +1,11 @@
 //! Says what kept a run from showing more: the link, losses, congestion control, or the deadline.
 
-use emulator_host::{Nanos, PacketGraph, Report, bound::UpperBound, link::Capacity, session::Freezes};
+use emulator_host::{
+    Nanos, PacketGraph, Report,
+    bound::UpperBound,
+    link::{Capacity, PathConfig},
+    session::Freezes,
+};
 
 use super::link::Link;
 
@@ -73,23 +78,21 @@ impl Link {
 
     /// What kept the run of `graph` that `report` tells of from showing more, in words.
     pub fn limit(&self, report: &Report, graph: &PacketGraph) -> String {
-        limit(report, graph, &self.config.forward.capacity)
+        limit(report, graph, &self.config.forward)
     }
 }
 
-/// The limit over a link of `capacity`. A cause is named where the run shows it: that it was there, and that
+/// The limit over a link that is `path`. A cause is named where the run shows it: that it was there, and that
 /// something is missing which it explains.
-fn limit(report: &Report, graph: &PacketGraph, capacity: &Capacity) -> String {
-    let could = capacity.bytes_until(report.duration_ns).0;
+fn limit(report: &Report, graph: &PacketGraph, path: &PathConfig) -> String {
+    let could = path.bytes_until(report.duration_ns).0;
     let capacity_box = report.boxes.iter().find(|row| is_queue(&row.label));
     let delivered = capacity_box.map_or(0, |row| row.counts.delivered.bytes);
     if could < OPPORTUNITY_BYTES && delivered == 0 {
         return "link (it carried nothing)".to_owned();
     }
     let used = delivered as f64 / could.max(1) as f64;
-    // Bursts after a pause (`light`) come on top of the capacity.
-    let used = used.min(1.0);
-    let used_words = match capacity {
+    let used_words = match path.capacity {
         Capacity::Unlimited => "the link has no limit of rate".to_owned(),
         _ => format!("{:.0} % of the link used", 100.0 * used),
     };
@@ -115,7 +118,7 @@ fn limit(report: &Report, graph: &PacketGraph, capacity: &Capacity) -> String {
             "deadline ({used_words}; {unsent} packets were not sent in time, {late_bytes} KiB came late)"
         );
     }
-    match capacity {
+    match path.capacity {
         Capacity::Unlimited => "not the link (it has no limit of rate)".to_owned(),
         _ => format!("not the link ({:.0} % used)", 100.0 * used),
     }
@@ -135,9 +138,9 @@ fn unsent(report: &Report, graph: &PacketGraph) -> u64 {
 #[cfg(test)]
 mod tests {
     use emulator_host::{
-        Nanos, PolicyKind, Rate, SessionConfig,
+        Bytes, Nanos, PolicyKind, Rate, SessionConfig,
         graph::Synthetic,
-        link::{LossModel, PathConfig, QueueLimit},
+        link::{LightLoad, LossModel, QueueLimit},
         simulate,
         trace::{DelayTrace, Limits},
     };
@@ -150,11 +153,11 @@ mod tests {
         let capacity = Capacity::Constant(Rate::from_kbps(link_kbps));
         let mut forward = PathConfig { capacity, ..PathConfig::default() };
         path(&mut forward);
-        let capacity = forward.capacity.clone();
+        let path = forward.clone();
         let mut config = SessionConfig { forward, policy: PolicyKind::Layered, ..SessionConfig::default() };
         config.reverse.delay = config.forward.delay;
         let graph = spec.build(1).unwrap();
-        limit(&simulate(&graph, &config).unwrap(), &graph, &capacity)
+        limit(&simulate(&graph, &config).unwrap(), &graph, &path)
     }
 
     #[test]
@@ -182,16 +185,23 @@ mod tests {
     #[test]
     fn a_link_that_delivered_a_little_is_used_and_not_dead() {
         let graph = Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap();
-        let capacity = Capacity::Constant(Rate(0));
-        let forward = PathConfig { capacity: capacity.clone(), ..PathConfig::default() };
-        let config = SessionConfig { forward, ..SessionConfig::default() };
+        let of_rate = |rate: Rate| {
+            let capacity = Capacity::Constant(rate);
+            PathConfig { capacity, ..PathConfig::default() }
+        };
+        let dead = of_rate(Rate(0));
+        let config = SessionConfig { forward: dead.clone(), ..SessionConfig::default() };
         let mut report = simulate(&graph, &config).unwrap();
-        assert_eq!(limit(&report, &graph, &capacity), "link (it carried nothing)");
+        assert_eq!(limit(&report, &graph, &dead), "link (it carried nothing)");
         let capacity_box = report.boxes.iter_mut().find(|row| is_queue(&row.label)).unwrap();
         capacity_box.counts.delivered.bytes = 640;
-        let slow = Capacity::Constant(Rate(640 * 8_000_000_000 / report.duration_ns.0));
+        let slow = of_rate(Rate(640 * 8_000_000_000 / report.duration_ns.0));
         assert!(slow.bytes_until(report.duration_ns).0 < OPPORTUNITY_BYTES);
         assert_eq!(limit(&report, &graph, &slow), "link (100 % of the link used)");
+        // Bursts after a pause may carry as much again, and more.
+        let light = LightLoad { rate: Rate::from_mbps(40), burst: Bytes(30_000), pause: Nanos::from_ms(100) };
+        let bursty = PathConfig { light: Some(light), ..slow };
+        assert!(!limit(&report, &graph, &bursty).starts_with("link"));
     }
 
     /// Of more than 4,000 packets, and where delays follow a trace.

@@ -1,10 +1,12 @@
 //! Builds the link of the command line: a capacity trace, scaled to the stream, with its delay, loss and
 //! queue.
 
+use std::collections::BTreeSet;
+
 use anyhow::{Context, Result, bail, ensure};
 use dgs_quic::socket::Impairment;
 use emulator_host::{
-    Bytes, ControllerKind, Nanos, PacketGraph, Rate, SessionConfig, Trace,
+    Bytes, ControllerKind, Nanos, PacketGraph, PacketIndex, Rate, SessionConfig, Trace,
     link::{Capacity, LossModel, PathConfig, QueueLimit},
     trace::{self, Replay},
 };
@@ -45,12 +47,11 @@ impl Link {
         }
     }
 
-    /// Mean rate from the start until `time`; `None` without a limit.
+    /// Mean rate from the start until `time`, with all that bursts could have; `None` without a limit.
     pub fn mean_until(&self, time: Nanos) -> Option<Rate> {
-        match &self.config.forward.capacity {
-            Capacity::Unlimited => None,
-            capacity => Some(Rate::over(capacity.bytes_until(time), time)),
-        }
+        let path = &self.config.forward;
+        let is_limited = !matches!(path.capacity, Capacity::Unlimited);
+        is_limited.then(|| Rate::over(path.bytes_until(time), time))
     }
 }
 
@@ -205,8 +206,9 @@ fn scale_for(trace: &Trace, graph: &PacketGraph, load: f64) -> Result<f64> {
 /// and the base of its first frame have passed, or after the wait of a session.
 fn playout_capacity(trace: &Trace, graph: &PacketGraph) -> Bytes {
     let first = graph.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
-    let packets = first.flat_map(|group| &group.packets).map(|packet| &graph.packets()[packet.at()]);
-    let base: u64 = packets.map(|packet| u64::from(packet.wire_bytes)).sum();
+    // A packet carries several groups.
+    let packets: BTreeSet<PacketIndex> = first.flat_map(|group| &group.packets).copied().collect();
+    let base: u64 = packets.iter().map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes)).sum();
     let opening = Bytes(base + u64::from(graph.manifest_bytes()));
     let (mut early, mut late) = (Nanos::ZERO, SessionConfig::default().startup.max_wait);
     while late - early > Nanos::from_ms(1) {

@@ -35,6 +35,40 @@ fn what_is_transparent_has_arrived() {
     assert!(ok(at, &["convert", "c.dgs", "d.ply"]).contains("nothing has arrived"));
 }
 
+/// What a format does not hold is said, to people and to programs.
+#[test]
+fn what_is_clamped_is_in_text_and_json() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    // Records of 32 bytes, x first and scales from byte 12 on: one far away, and one that is too thin.
+    let mut bytes = faint(200);
+    bytes[3 * 32..3 * 32 + 4].copy_from_slice(&50_000f32.to_le_bytes());
+    bytes[32 + 12..32 + 16].copy_from_slice(&1e-6f32.to_le_bytes());
+    fs::write(at.join("a.splat"), bytes).unwrap();
+    let convert = ["convert", "a.splat", "a.spz"];
+    let (text, said) = (ok(at, &convert), json(at, &convert));
+    for says in ["positions are rounded to 0.0078125 scene units", "scales of 1 Gaussian were clamped to"] {
+        assert!(text.contains(&format!("  note: {says}")), "{text}");
+        assert!(said["notes"].to_string().contains(says), "{said}");
+    }
+    ok(at, &["encode", "a.splat", "-o", "a.dgs", "--pictures", "0"]);
+    let said = json(at, &["decode", "a.dgs", "-o", "b.spz"]);
+    assert!(said["notes"].to_string().contains("positions are rounded to 0.0078125"), "{said}");
+    let said = json(at, &["convert", "a.splat", "a.ply"]);
+    assert!(!said["notes"].to_string().contains("clamped"), "{said}");
+}
+
+/// More bytes than a scene takes at any coarseness are a target that is not met closely, which is said.
+#[test]
+fn a_target_size_beyond_the_finest_steps_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let encode = ["encode", "synth:figure:1000:1", "-o", "a.dgs", "--pictures", "0", "--target-bytes"];
+    let notes = |bytes: &str| json(folder.path(), &[&encode[..], &[bytes]].concat())["notes"].to_string();
+    let said = notes("1000000");
+    assert!(said.contains("target_bytes is 1000000: coarseness 0.001, the finest that is tried"), "{said}");
+    assert!(!notes("5000").contains("the finest"));
+}
+
 /// Parity of sets that stay whole stays, and what goes is said; bytes that are left are used.
 #[test]
 fn a_cut_keeps_parity_that_repairs_and_uses_its_bytes() {

@@ -10,6 +10,7 @@ use emulator_host::{
     ControllerKind, Nanos, PacketGraph, PolicyKind, Rate, Report, SessionConfig, Trace,
     graph::Synthetic,
     link::{Capacity, LossModel, PathConfig, QueueLimit},
+    trace::{DelayTrace, Limits},
 };
 
 fn graph(mbps: u64, frames: u32) -> PacketGraph {
@@ -115,6 +116,19 @@ fn the_handshake_takes_a_round_trip_and_a_dead_path_has_none() {
     let graph = graph(2, 30);
     let report = virtual_time::simulate(&graph, &down(dead)).unwrap();
     assert_eq!((report.miss_rate, report.startup_reached), (1.0, false));
+}
+
+/// A delay is the same written as a number or as a trace that does not change.
+#[test]
+fn the_handshake_knows_recorded_delays() {
+    let graph = graph(1, 90);
+    let capacity = Capacity::Constant(Rate::from_kbps(400));
+    let typed = PathConfig { capacity, delay: Nanos::from_ms(300), ..PathConfig::default() };
+    let delays = DelayTrace::load(b"300\n", Nanos::from_s(1), &Limits::default()).unwrap();
+    let recorded = PathConfig { delay: Nanos::ZERO, delay_trace: Some(delays), ..typed.clone() };
+    let [typed, recorded] =
+        [typed, recorded].map(|forward| virtual_time::simulate(&graph, &down(forward)).unwrap());
+    assert_eq!((recorded.startup_ms, recorded.utility), (typed.startup_ms, typed.utility));
 }
 
 #[test]

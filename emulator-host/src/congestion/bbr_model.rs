@@ -71,7 +71,7 @@ impl BbrModel {
         if self.round_lost * 50 <= self.round_acked
             && let Some(ceiling) = &mut self.ceiling
         {
-            *ceiling += (*ceiling / 16).max(self.datagram);
+            *ceiling = ceiling.saturating_add((*ceiling / 16).max(self.datagram));
         }
         let rate = self.rate.estimate().unwrap_or(Rate(0));
         if rate >= self.rate_at_round.scaled(5, 4) {

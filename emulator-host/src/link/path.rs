@@ -188,7 +188,7 @@ impl PathConfig {
 
     /// The most that it moves from the start until `time`: what its capacity does and, on top, all that
     /// bursts could have. Either moves whole bytes, so that rounding both down leaves nothing out.
-    pub(crate) fn bytes_until(&self, time: Nanos) -> Bytes {
+    pub fn bytes_until(&self, time: Nanos) -> Bytes {
         let light = self.light.map_or(Bytes(0), |light| light.most_until(time));
         Bytes(self.capacity.bytes_until(time).0.saturating_add(light.0))
     }

@@ -5,7 +5,13 @@
 //! horizon, when playout is expected, and the queue that it causes itself. It never asks a clock and moves no
 //! bytes.
 
-use std::{collections::VecDeque, fmt, ops::Deref};
+mod succession;
+
+use std::{
+    collections::{BTreeSet, VecDeque},
+    fmt,
+    ops::Deref,
+};
 
 use codec_core::internals::wire::receipt::ViewerPose;
 
@@ -116,9 +122,10 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// Nothing sent; `path` is what the transport knows at `now`.
     pub fn new(graph: G, scheduler: S, rules: SendingRules, path: PathFacts, now: Nanos) -> Self {
         let first = graph.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
-        let first_base = first.flat_map(|group| &group.packets);
+        // A packet carries several groups.
+        let first_base: BTreeSet<PacketIndex> = first.flat_map(|group| &group.packets).copied().collect();
         let first_base_bytes =
-            first_base.map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes)).sum();
+            first_base.iter().map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes)).sum();
         let packets = graph.packets().len();
         let mut sender = Self {
             service: scheduler.service(),
@@ -186,12 +193,6 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// Where the viewer is, by the newest receipt that says so.
     pub fn reported_pose(&self) -> ReportedPose {
         self.reported_pose
-    }
-
-    /// The viewer is where another sender to it was last informed that it is.
-    pub fn set_reported_pose(&mut self, reported_pose: ReportedPose) {
-        self.reported_pose = reported_pose;
-        self.view_state.viewpoint = reported_pose.viewpoint();
     }
 
     /// When more of the clip comes within the horizon, so that [`Self::next`] may have something again.

@@ -53,6 +53,15 @@ pub(in crate::command) struct FrameToWrite<E> {
     pub(in crate::command) has_rows_of_last: bool,
 }
 
+/// What was written.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(in crate::command) struct WrittenScene {
+    /// What and where, a line for people.
+    pub(in crate::command) text: String,
+    /// What a person should know of it, sentences.
+    pub(in crate::command) notes: Vec<String>,
+}
+
 impl SceneOutput {
     /// By the ending of a name; a name without one is a folder's.
     pub(in crate::command) fn of(path: &Path) -> Result<Self> {
@@ -150,7 +159,7 @@ impl SceneOutput {
         run: FrameRun,
         progress: &Progress,
         mut frame: impl FnMut(u32) -> Result<FrameToWrite<E>>,
-    ) -> Result<String> {
+    ) -> Result<WrittenScene> {
         let FrameRun { overwrite, only, count, footprint, .. } = run;
         let format = match self {
             Self::File(format) => format,
@@ -168,7 +177,8 @@ impl SceneOutput {
                 }
                 folder.name_clip(run.frames_per_second, identity_stored);
                 let written = folder.finish(overwrite)?;
-                return Ok(format!("wrote {} to {}\n", counted(written, "PLY file"), out.display()));
+                let text = format!("wrote {} to {}\n", counted(written, "PLY file"), out.display());
+                return Ok(WrittenScene { text, notes: Vec::new() });
             }
         };
         let FrameToWrite { epoch, t, .. } = frame(only)?;
@@ -186,27 +196,13 @@ impl SceneOutput {
         }
         let gaussians = epoch.borrow().count();
         let one = if count > 1 { format!(", frame {only} of {count}") } else { String::new() };
-        let mut text = format!("wrote {name}: {gaussians} Gaussians, {len} bytes{one}\n");
-        let clamped = format.clamped_colours(epoch.borrow(), t);
-        if clamped > 0 {
-            text += &format!(
-                "  note: colours of {} were clamped to what the format holds\n",
-                counted(clamped, "Gaussian")
-            );
-        }
-        let clamped = format.clamped_scales(epoch.borrow(), t);
-        if clamped > 0 {
-            text += &format!(
-                "  note: scales of {} were clamped to what the format holds\n",
-                counted(clamped, "Gaussian")
-            );
-        }
-        Ok(text)
+        let text = format!("wrote {name}: {gaussians} Gaussians, {len} bytes{one}\n");
+        Ok(WrittenScene { text, notes: format.notes(epoch.borrow(), t) })
     }
 }
 
 /// Writes all frames of `scene` as `.4dgs`.
-pub(in crate::command) fn write_clip(scene: &Scene, out: &Path) -> Result<String> {
+pub(in crate::command) fn write_clip(scene: &Scene, out: &Path) -> Result<WrittenScene> {
     let bytes = export::fourdgs::encode(scene).with_context(|| {
         format!(
             "{}: not written; a folder, named without an ending, holds the same frames as PLY",
@@ -214,13 +210,14 @@ pub(in crate::command) fn write_clip(scene: &Scene, out: &Path) -> Result<String
         )
     })?;
     files::write(out, &bytes)?;
-    Ok(format!(
+    let text = format!(
         "wrote {}: {}, {} bytes, {}\n",
         out.display(),
         counted(scene.max_count(), "Gaussian"),
         bytes.len(),
         counted(scene.frames(), "frame")
-    ))
+    );
+    Ok(WrittenScene { text, notes: FileFormat::notes_of_clip(scene) })
 }
 
 #[cfg(test)]

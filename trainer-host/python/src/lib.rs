@@ -16,6 +16,7 @@ mod encoding;
 mod error;
 mod gaussians;
 mod player;
+mod received;
 mod render;
 mod scene;
 mod stream;

@@ -18,7 +18,6 @@ use trainer_host::{
     export::{self, FileFormat},
     import::{self, Format, ImportOptions, Limits, SEQUENCE_INDEX, SequenceIndex, gltf, synth},
     scene::Up,
-    stream::{Stream, decoded},
     viewpoint::{Framing, Ring},
 };
 
@@ -27,8 +26,9 @@ use crate::{
     array::array,
     camera::Camera,
     clip,
-    error::{checked_frame, checked_rate, damaged, of_file, refused, unreadable, whole},
+    error::{checked_frame, checked_rate, of_file, refused, unreadable, whole},
     gaussians::{self, Frame},
+    received::received_scene,
 };
 
 /// Gaussians over frames.
@@ -98,30 +98,6 @@ fn is_read_as_stream(path: &Path) -> PyResult<bool> {
     }
     let bytes = std::fs::read(path).map_err(|error| of_file(path, &error))?;
     Ok(import::sniff(&bytes, path) == Format::Unknown)
-}
-
-/// The frames of a stream, as far as they have arrived, and what is amiss with it.
-fn decode(path: &Path) -> PyResult<(trainer_host::Scene, Option<String>)> {
-    let bytes = std::fs::read(path).map_err(|error| of_file(path, &error))?;
-    let (stream, damage) = Stream::from_bytes(&bytes).map_err(damaged)?;
-    let mut player = stream.receive().map_err(damaged)?;
-    let mut frames = Vec::new();
-    for number in 0..player.info().frames {
-        let shown = player.frame(number).map_err(damaged)?;
-        let instant = trainer_host::Instant {
-            gaussians: shown.gaussians.to_vec(),
-            sh_rest: shown.sh_rest.to_vec(),
-            sh_degree: shown.sh_degree,
-        };
-        frames.push(decoded::snapshot(&instant).map_err(refused)?);
-    }
-    let manifest = player.manifest();
-    let starts = decoded::epoch_starts(manifest);
-    let mut scene = decoded::joined(frames, &starts, manifest.frames_per_second()).map_err(refused)?;
-    scene.footprint = player.info().footprint;
-    scene.up = manifest.up();
-    let damage = (!damage.is_none()).then(|| format!("{}: {damage}; the rest is used", path.display()));
-    Ok((scene, damage))
 }
 
 /// `scene` turned so that `to` is up, unless it is.
@@ -244,9 +220,9 @@ impl Scene {
             return Err(of_file(&path, &std::io::Error::from(std::io::ErrorKind::NotFound)));
         }
         if is_read_as_stream(&path)? {
-            let (mut scene, damage) = py.detach(|| decode(&path))?;
-            if let Some(damage) = damage {
-                let message = std::ffi::CString::new(damage).map_err(refused)?;
+            let (mut scene, warnings) = py.detach(|| received_scene(&path))?;
+            if !warnings.is_empty() {
+                let message = std::ffi::CString::new(warnings.join("; ")).map_err(refused)?;
                 PyErr::warn(py, &py.get_type::<PyUserWarning>(), &message, 1)?;
             }
             scene.up = up.unwrap_or(scene.up);

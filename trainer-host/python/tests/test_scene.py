@@ -293,3 +293,24 @@ def test_a_damaged_stream_is_used_with_a_warning(tmp_path: pathlib.Path) -> None
     with pytest.warns(UserWarning, match="damaged"):
         scene = dgs.Scene.load(tmp_path / "a.dgs")
     assert len(scene) == 2
+
+
+def test_what_has_not_arrived_of_a_stream_is_said(tmp_path: pathlib.Path) -> None:
+    stream = dgs.encode(dgs.Scene.synth(gaussians=2000, frames=2), pictures=0, packet_bytes=400).stream
+    count = len(stream)
+    stream.save(tmp_path / "whole.dgs")
+    assert not any("packets" in note for note in dgs.Scene.load(tmp_path / "whole.dgs").notes)
+    stream.without([count - 1]).save(tmp_path / "part.dgs")
+    with pytest.warns(UserWarning, match=f"1 of {count} packets are not in .*part.dgs"):
+        scene = dgs.Scene.load(tmp_path / "part.dgs")
+    assert scene.notes[0].startswith(f"1 of {count} packets are not in")
+    # Of every two packets one, of bases too.
+    lost = range(1, count, 2)
+    stream.without(lost).save(tmp_path / "half.dgs")
+    said = "Gaussians of which nothing has arrived are left out of "
+    with pytest.warns(UserWarning, match=said):
+        scene = dgs.Scene.load(tmp_path / "half.dgs")
+    assert 0 < scene.gaussians < 2000
+    assert [note.split(" ")[0] for note in scene.notes] == [str(len(lost)), "Gaussians"]
+    with pytest.warns(UserWarning, match=said):
+        dgs.convert(tmp_path / "half.dgs", tmp_path / "half.ply")

@@ -98,8 +98,8 @@ fn on_a_part(
     })
 }
 
-/// Epoch `index` of `scene` as a scene of its own, which is drawn and seen from around as the whole is; nothing
-/// where there is no such epoch.
+/// Epoch `index` of `scene` as a scene of its own, drawn and seen from around as the whole is; nothing where
+/// there is no such epoch.
 fn epoch_alone(scene: &Scene, index: usize) -> Option<Scene> {
     let epoch = scene.epochs().get(index)?;
     let mut alone = Scene::new(vec![epoch.clone()], scene.frames_per_second()).ok()?;

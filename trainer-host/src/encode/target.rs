@@ -207,8 +207,8 @@ struct BestPlace<T> {
 }
 
 impl Search {
-    /// Starts at 0; if nothing fits, the answer is the place that exceeds least, and of equals the least place.
-    /// `measure` is given how many measurements there were, below [`MOST`], and a place.
+    /// Starts at 0; if nothing fits, the answer is the place that exceeds least. Of places that fit alike it
+    /// is the least. `measure` is given how many measurements there were, below [`MOST`], and a place.
     fn run<T, E>(
         &self,
         mut measure: impl FnMut(usize, f64) -> Result<(f64, T), E>,
@@ -393,18 +393,18 @@ mod tests {
             assert_eq!(run(by_psnr(6.9), &excess).0, run(by_psnr(2.7), &excess).0, "{zero}");
         }
         for zero in [-3.5, -5.0, -6.6] {
-            let (places, found) = run(by_size(-6.9), &|at| -0.3 * (at - zero));
+            let (places, found) = run(by_size(-6.9), &|at: f64| -0.3 * (at - zero));
             assert!(found.excess <= 0.0 && found.excess > -0.05 && places.len() <= MOST, "{places:?}");
-            let (places, found) = run(by_psnr(6.9), &|at| -5.0 * (at + zero));
+            let (places, found) = run(by_psnr(6.9), &|at: f64| -5.0 * (at + zero));
             assert!(found.excess <= 0.0 && found.excess > -0.6 && places.len() <= MOST, "{places:?}");
         }
         // What is too small or too good at every place ends at the last one.
-        assert_eq!(run(by_size(-6.9), &|at| -0.3 * (at + 20.0)).1.at, -6.9);
-        let (places, found) = run(by_psnr(6.9), &|at| -5.0 * (at - 20.0));
+        assert_eq!(run(by_size(-6.9), &|at: f64| -0.3 * (at + 20.0)).1.at, -6.9);
+        let (places, found) = run(by_psnr(6.9), &|at: f64| -5.0 * (at - 20.0));
         assert!(found.excess > 0.0 && places.contains(&6.9), "{places:?}");
     }
 
-    /// On a plateau many coarsenesses give one PSNR: the coarsest of those that were tried takes fewest bytes.
+    /// On a plateau many coarsenesses give one PSNR: the coarsest of those tried takes fewest bytes.
     #[test]
     fn of_places_that_fit_alike_the_least_is_taken() {
         let search = Search { lowest: -6.9, low: -6.9, high: 2.7, highest: 6.9, slope: 6.0, close: 0.3 };

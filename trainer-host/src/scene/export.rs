@@ -17,7 +17,10 @@ use std::io;
 
 pub use file_format::{FileFormat, FrameFiles};
 
-use super::activation::{SH_C0, sigmoid};
+use super::{
+    Epoch,
+    activation::{SH_C0, sigmoid},
+};
 
 /// Display colour, 0 to 1 for what a screen shows, of a band-0 coefficient.
 fn display_colour(sh0: f32) -> f32 {
@@ -27,6 +30,21 @@ fn display_colour(sh0: f32) -> f32 {
 /// That a file would hold nothing, which readers refuse.
 fn nothing_to_write() -> io::Error {
     io::Error::new(io::ErrorKind::InvalidInput, "no Gaussian is left; at least one is needed in a file")
+}
+
+/// What is said of `count` Gaussians whose `what` is beyond `range`, if there are any.
+fn clamped(what: &str, count: usize, range: &str) -> Option<String> {
+    let gaussians = if count == 1 { "Gaussian" } else { "Gaussians" };
+    let said = || format!("{what} of {count} {gaussians} were clamped to what the format holds, {range}");
+    (count > 0).then(said)
+}
+
+/// Gaussians of `epoch` that have a harmonic above band 0 beyond what a format holds: `is_within` is given
+/// the place of a coefficient in its row of `sh_rest`, and its value.
+fn beyond_in_harmonics(epoch: &Epoch, is_within: impl Fn(usize, f32) -> bool) -> usize {
+    let attributes = epoch.attributes();
+    let rows = attributes.sh_rest.chunks_exact(attributes.sh_degree.rest_len().max(1));
+    rows.filter(|row| !row.iter().enumerate().all(|(place, &value)| is_within(place, value))).count()
 }
 
 /// 0 to 1 as a byte.
@@ -71,7 +89,7 @@ pub(in crate::scene) mod tests {
     use rand_pcg::rand_core::SeedableRng;
 
     use super::*;
-    use crate::scene::{Attributes, Epoch, Track};
+    use crate::scene::{Attributes, Track};
 
     /// `n` Gaussians at random, with harmonics of `degree`.
     pub(in crate::scene) fn epoch(n: usize, degree: u8) -> Epoch {

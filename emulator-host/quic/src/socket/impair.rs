@@ -80,6 +80,8 @@ struct Table {
 /// One destination's link and the bytes of what is inside.
 struct Link {
     chain: Chain,
+    /// When it was made: its traces begin there.
+    made: Nanos,
     most_bytes: u64,
     next: u64,
     inside: BTreeMap<u64, Payload>,
@@ -192,7 +194,7 @@ impl Links {
                 return;
             };
             table.seeds += 1;
-            table.links.insert(destination, Link::new(chain, u64::MAX));
+            table.links.insert(destination, Link::new(chain, now, u64::MAX));
             self.count.store(table.links.len(), Ordering::Relaxed);
         }
         let Some(link) = table.links.get_mut(&destination) else { return };
@@ -211,13 +213,13 @@ impl Links {
         let mut wake = Nanos::MAX;
         let mut table = self.lock();
         table.links.retain(|destination, link| {
-            if link.chain.next_wake() <= now {
+            if link.next_wake() <= now {
                 link.pass(None, now, *destination, socket);
             }
             let is_used = link.session.is_some() || !link.inside.is_empty();
             let stays = is_used || now < link.entered + FORGOTTEN_AFTER;
             if stays {
-                wake = wake.min(link.chain.next_wake());
+                wake = wake.min(link.next_wake());
             }
             stays
         });
@@ -243,7 +245,8 @@ impl SessionLink {
         let is_set = match chain {
             Some(Ok(chain)) if has_room => {
                 let (session, is_of_session) = (Some(self.session), true);
-                let link = Link { session, is_of_session, ..Link::new(chain, MAX_VIEWER_BYTES) };
+                let link = Link::new(chain, self.links.now(), MAX_VIEWER_BYTES);
+                let link = Link { session, is_of_session, ..link };
                 table.links.insert(destination, link);
                 true
             }
@@ -274,9 +277,14 @@ impl Drop for SessionLink {
 }
 
 impl Link {
-    fn new(chain: Chain, most_bytes: u64) -> Self {
+    fn new(chain: Chain, made: Nanos, most_bytes: u64) -> Self {
         let (inside, session, is_of_session, entered) = (BTreeMap::new(), None, false, Nanos::ZERO);
-        Self { chain, most_bytes, next: 0, inside, session, is_of_session, entered }
+        Self { chain, made, most_bytes, next: 0, inside, session, is_of_session, entered }
+    }
+
+    /// When something inside may be through.
+    fn next_wake(&self) -> Nanos {
+        self.made + self.chain.next_wake()
     }
 
     fn enter(&mut self, payload: Payload, now: Nanos, destination: SocketAddr, socket: &dyn AsyncUdpSocket) {
@@ -297,7 +305,7 @@ impl Link {
         destination: SocketAddr,
         socket: &dyn AsyncUdpSocket,
     ) {
-        while let BoxOutput::Datagram(datagram) = self.chain.step(input.take(), now) {
+        while let BoxOutput::Datagram(datagram) = self.chain.step(input.take(), now - self.made) {
             // Order is kept, so whatever entered before this and is still here was lost inside.
             let later = self.inside.split_off(&datagram.tag);
             self.inside = later;
@@ -376,6 +384,8 @@ impl AsyncUdpSocket for ImpairedSocket {
 
 #[cfg(test)]
 mod tests {
+    use emulator_host::trace::{DelayTrace, Limits};
+
     use super::*;
 
     #[derive(Debug)]
@@ -438,6 +448,21 @@ mod tests {
         assert!(ports(&links).is_empty());
         send(&links, 3);
         assert_eq!(links.lock().seeds, 3);
+    }
+
+    /// A viewer that comes later meets the same conditions: traces begin with its first datagram.
+    #[test]
+    fn a_trace_begins_with_its_link() {
+        let delays = DelayTrace::load(b"40\n900\n", Nanos::from_s(1), &Limits::default()).unwrap();
+        let path = PathConfig { delay_trace: Some(delays), ..PathConfig::unimpaired() };
+        for made in [Nanos::ZERO, Nanos::from_s(11)] {
+            let mut link = Link::new(path.build(LABEL, 1).unwrap(), made, u64::MAX);
+            let payload = Payload { bytes: vec![0; 100], ecn: None, source: None };
+            link.enter(payload, made, at(1), &Nowhere);
+            assert_eq!(link.next_wake(), made + Nanos::from_ms(40));
+            link.pass(None, link.next_wake(), at(1), &Nowhere);
+            assert!(link.inside.is_empty());
+        }
     }
 
     #[test]

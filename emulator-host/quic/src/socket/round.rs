@@ -154,17 +154,18 @@ impl Round {
         self.content = content;
         let arrived = self.outstanding.arrived_bytes();
         let path = facts(carrier, arrived, self.outstanding.bytes(), self.arrivals.estimate());
-        let reported_pose = self.sender.reported_pose();
-        self.sender = sender(&self.graph, policy, path, self.now(), delivered);
+        let fresh = sender(&self.graph, policy, path, self.now(), delivered);
+        let earlier = std::mem::replace(&mut self.sender, fresh);
         let graph = self.graph.clone();
-        self.outstanding.carry_over(&mut self.sender, |packet| {
+        let index = |packet| {
             let id = before.wire_id(packet);
             graph.packets_in(id, id).next()
-        });
+        };
+        self.outstanding.carry_over(&mut self.sender, index);
+        self.sender.go_on_from(earlier, index);
         self.sender.on_receipt(&self.playout);
         let path = facts(carrier, arrived, self.outstanding.bytes(), self.arrivals.estimate());
         self.sender.look(path, self.now());
-        self.sender.set_reported_pose(reported_pose);
         Ok(())
     }
 
@@ -285,8 +286,8 @@ impl Round {
         self.sender.counts()
     }
 
-    /// Packets that never arrived, as far as is known.
-    pub(super) fn lost(&self) -> u64 {
-        self.outstanding.lost()
+    /// Packets that never arrived, as far as is known, since this was called before.
+    pub(super) fn take_lost(&mut self) -> u64 {
+        self.outstanding.take_lost()
     }
 }

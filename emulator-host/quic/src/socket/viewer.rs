@@ -474,7 +474,7 @@ impl<'s> Viewer<'s> {
         let counts = self.round.counts();
         self.tally.retransmitted += counts.retransmitted;
         self.tally.parity += counts.parity;
-        self.tally.lost += self.round.lost();
+        self.tally.lost += self.round.take_lost();
         self.tally.located |= self.round.is_located();
     }
 }

@@ -175,12 +175,12 @@ fn datagram_bytes(graph: &PacketGraph) -> u16 {
     u16::try_from(u64::from(widest) + DATAGRAM_OVERHEAD).unwrap_or(u16::MAX).max(1200)
 }
 
-/// The delays of the path and nothing else.
+/// The delays of the path and nothing else; of recorded ones the first.
 fn bare_paths(config: &SessionConfig) -> Result<[Chain; 2], SessionError> {
     let bare = |path: &PathConfig| PathConfig {
         capacity: Capacity::Unlimited,
         loss: LossModel::None,
-        delay: path.delay,
+        delay: path.delay + path.delay_trace.as_ref().map_or(Nanos::ZERO, |trace| trace.at(Nanos::ZERO)),
         ..PathConfig::default()
     };
     let bare = SessionConfig {

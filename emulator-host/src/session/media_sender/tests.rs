@@ -61,3 +61,44 @@ fn a_path_that_was_never_empty_is_emptied_if_the_scheduler_requires_it() {
     assert_eq!(full_until(path, config, 0, now), Some(Nanos::from_s(11)));
     assert_eq!(full_until(path, DeadlineUtilityConfig { empty_path: false, ..config }, 0, now), None);
 }
+
+fn sender_of(graph: &Arc<PacketGraph>) -> MediaSender<Arc<PacketGraph>, DeadlineUtility> {
+    let scheduler = DeadlineUtility::new(graph, DeadlineUtilityConfig::default());
+    let rules = SessionConfig::default().sending();
+    MediaSender::new(graph.clone(), scheduler, rules, PathFacts::unknown(1200), Nanos::ZERO)
+}
+
+/// A packet of two groups of the first base passes once.
+#[test]
+fn nothing_of_the_first_base_is_left_once_all_of_it_is_there() {
+    let mut parts = Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap().parts().clone();
+    let is_first_base =
+        |group: &usize| parts.groups[*group].level() == 0 && parts.groups[*group].first_frame == 0;
+    let first_base: Vec<usize> = (0..parts.groups.len()).filter(is_first_base).collect();
+    let (one, other) = (first_base[0], first_base[1]);
+    let packet = parts.groups[one].packets[0];
+    parts.groups[other].packets.push(packet);
+    parts.packets[packet.at()].groups.push(GroupIndex(other as u32));
+    let graph = Arc::new(PacketGraph::new(parts).unwrap());
+    let mut sender = sender_of(&graph);
+    assert!(sender.first_base_bytes > 0);
+    (0..graph.packets().len()).for_each(|packet| sender.on_acked(PacketIndex(packet as u32)));
+    assert_eq!(sender.first_base_bytes, 0);
+}
+
+/// What a sender has learnt of the path is not forgotten when the stream grows.
+#[test]
+fn a_sender_that_follows_another_knows_what_that_one_knew() {
+    let graph = Arc::new(Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap());
+    let now = Nanos::from_s(1);
+    let mut before = sender_of(&graph);
+    let sent = before.next(now).unwrap();
+    before.on_acks_and_losses(800, 200, now);
+    let mut after = sender_of(&graph);
+    let opening = after.first_base_bytes;
+    after.go_on_from(before, Some);
+    after.look(PathFacts::unknown(1200), now);
+    assert!(after.view_state.loss > 0.15, "{}", after.view_state.loss);
+    assert_eq!(after.sent_times[sent.at()], 1);
+    assert_eq!(after.first_base_bytes, opening - u64::from(graph.wire_bytes(sent)));
+}

@@ -43,9 +43,20 @@ pub fn encode(epoch: &Epoch, t: usize) -> Vec<u8> {
         let bands = &a.sh_rest[i as usize * rest..(i as usize + 1) * rest];
         // Channel after channel.
         let channels = (0..3).flat_map(|channel| bands.iter().skip(channel).step_by(3));
-        out.extend(channels.map(|v| ((v / 8.0 + 0.5) * 256.0).floor().clamp(0.0, 255.0) as u8));
+        out.extend(channels.map(|v| in_steps(*v).floor().clamp(0.0, 255.0) as u8));
     }
     out
+}
+
+/// A harmonic above band 0 in steps of its byte, of which the first begins at 0.
+fn in_steps(harmonic: f32) -> f32 {
+    (harmonic / 8.0 + 0.5) * 256.0
+}
+
+/// Gaussians of `epoch` that have a harmonic above band 0 which the format does not hold.
+pub(super) fn beyond_in_harmonics(epoch: &Epoch) -> usize {
+    // Half a step beyond is still as near as steps are.
+    super::beyond_in_harmonics(epoch, |_, value| (-0.5..=256.5).contains(&in_steps(value)))
 }
 
 /// Position, log-scale and display colour of a Gaussian.

@@ -7,9 +7,9 @@ use std::{
 
 use codec_core::{Footprint, ShDegree};
 
-use super::{compressed_ply, gltf, nothing_to_write, ply, sog, splat, spz};
+use super::{clamped, compressed_ply, fourdgs, gltf, nothing_to_write, ply, sog, splat, spz};
 use crate::scene::{
-    Epoch, Up,
+    Epoch, Scene, Up,
     import::{
         Format, default_up,
         spz::{COLOUR_SCALE, LEAST_LOG_SCALE, LOG_SCALE_STEP},
@@ -128,8 +128,34 @@ impl FileFormat {
         Ok(FrameFiles { bytes, buffer: None })
     }
 
+    /// What it holds of frame `t` of `epoch`, which must be below its frame count, otherwise than it is,
+    /// beyond rounding: sentences for people.
+    pub fn notes(self, epoch: &Epoch, t: usize) -> Vec<String> {
+        let (colour_range, harmonic_range) = match self {
+            Self::Spz => ("-0.44 to 1.44", "-1 to 0.992"),
+            _ => ("0 to 1", "-4 to 4"),
+        };
+        let harmonics = match self {
+            Self::Spz => spz::beyond_in_harmonics(epoch),
+            Self::CompressedPly => compressed_ply::beyond_in_harmonics(epoch),
+            Self::Ply | Self::Splat | Self::Sog | Self::Glb | Self::Gltf => 0,
+        };
+        let said = [
+            clamped("colours", self.clamped_colours(epoch, t), colour_range),
+            clamped("scales", self.clamped_scales(epoch, t), "0.000045 to 379 scene units"),
+            clamped("harmonics", harmonics, harmonic_range),
+            if self == Self::Spz { spz::coarse_positions(epoch, t) } else { None },
+        ];
+        said.into_iter().flatten().collect()
+    }
+
+    /// As [`FileFormat::notes`], of all of `scene` in a `.4dgs` file, which holds every frame.
+    pub fn notes_of_clip(scene: &Scene) -> Vec<String> {
+        fourdgs::notes(scene)
+    }
+
     /// Gaussians of frame `t` of `epoch` whose colours of band 0 are beyond what it holds, and are clamped.
-    pub fn clamped_colours(self, epoch: &Epoch, t: usize) -> usize {
+    fn clamped_colours(self, epoch: &Epoch, t: usize) -> usize {
         let unit: fn(f32) -> f32 = match self {
             Self::Splat => super::display_colour,
             Self::Spz => |sh0| sh0 * COLOUR_SCALE + 0.5,
@@ -142,7 +168,7 @@ impl FileFormat {
     }
 
     /// Gaussians of frame `t` of `epoch` that have a scale beyond what it holds, which is clamped.
-    pub fn clamped_scales(self, epoch: &Epoch, t: usize) -> usize {
+    fn clamped_scales(self, epoch: &Epoch, t: usize) -> usize {
         if self != Self::Spz {
             return 0;
         }
@@ -191,6 +217,27 @@ mod tests {
         let epoch = Epoch::new(1, attributes).unwrap();
         let clamped = [FileFormat::Spz, FileFormat::Splat].map(|format| format.clamped_scales(&epoch, 0));
         assert_eq!(clamped, [2, 0]);
+    }
+
+    #[test]
+    fn harmonics_that_are_clamped_are_counted() {
+        let mut attributes = crate::scene::export::tests::epoch(4, 2).attributes().clone();
+        attributes.log_scales = crate::scene::Track::Constant(vec![[-3.0; 3]; 4]);
+        // Within half a step of what each holds, beyond -1 to 0.992, and beyond -4 to 4.
+        (attributes.sh_rest[0], attributes.sh_rest[23]) = (1.02, 1.05);
+        (attributes.sh_rest[24], attributes.sh_rest[48]) = (1.06, 4.5);
+        (attributes.sh_rest[72], attributes.sh_rest[73]) = (-1.02, 0.0);
+        let epoch = Epoch::new(1, attributes).unwrap();
+        let said = "were clamped to what the format holds";
+        assert_eq!(
+            FileFormat::Spz.notes(&epoch, 0),
+            [format!("harmonics of 2 Gaussians {said}, -1 to 0.992")]
+        );
+        let notes = FileFormat::CompressedPly.notes(&epoch, 0);
+        assert_eq!(notes, [format!("harmonics of 1 Gaussian {said}, -4 to 4")]);
+        for format in [FileFormat::Ply, FileFormat::Splat, FileFormat::Sog, FileFormat::Glb] {
+            assert!(format.notes(&epoch, 0).is_empty(), "{format:?}");
+        }
     }
 
     #[test]

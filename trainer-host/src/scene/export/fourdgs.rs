@@ -14,7 +14,7 @@ use ::fourdgs::{
     write_to_vec,
 };
 
-use super::{display_colour, nothing_to_write, sigmoid};
+use super::{beyond_in_harmonics, clamped, display_colour, nothing_to_write, sigmoid};
 use crate::scene::{Epoch, Scene, Up};
 
 /// The format's finest steps.
@@ -66,6 +66,29 @@ pub fn encode(scene: &Scene) -> io::Result<Vec<u8>> {
     let extras = SceneExtras { metadata, ..SceneExtras::default() };
     let duration = scene.frames() as f64 / scene.frames_per_second();
     write_to_vec(&set, duration, &options, &extras).map_err(io::Error::other)
+}
+
+/// What the file of `scene` holds otherwise than it is, beyond rounding: sentences for people.
+pub(super) fn notes(scene: &Scene) -> Vec<String> {
+    // Half a step beyond is still the nearest.
+    let half = 0.5 * Steps::of(&Bounds::for_profile(PROFILE, 1.0)).rgb;
+    let colour_fits = |sh0: &f32| (-half..=1.0 + half).contains(&f64::from(display_colour(*sh0)));
+    let harmonic_fits = |_: usize, value: f32| (-0.5..=255.5).contains(&in_steps(value));
+    let colours = scene.epochs().iter().map(|epoch| {
+        let (n, sh0) = (epoch.count(), &epoch.attributes().sh0);
+        let frames = if sh0.is_constant() { 1 } else { epoch.frames() };
+        let fits = |i: &usize| (0..frames).all(|t| sh0.frame(t, n)[*i].iter().all(colour_fits));
+        (0..n).filter(|i| !fits(i)).count()
+    });
+    let harmonics = scene.epochs().iter().map(|epoch| beyond_in_harmonics(epoch, harmonic_fits));
+    let said =
+        [clamped("colours", colours.sum(), "0 to 1"), clamped("harmonics", harmonics.sum(), "-4 to 4")];
+    said.into_iter().flatten().collect()
+}
+
+/// A harmonic above band 0 in steps of its byte.
+fn in_steps(harmonic: f32) -> f64 {
+    (f64::from(harmonic) - SH_QUANT_LO) / (SH_QUANT_HI - SH_QUANT_LO) * 255.0
 }
 
 /// Moves everything to where the format's steps leave it. The writer checks what is decoded against half a
@@ -168,8 +191,8 @@ fn push(set: &mut GaussianSet, epoch: &Epoch, i: usize, t: usize, end: usize, fi
         let rest = a.sh_degree.rest_len();
         let bands = &a.sh_rest[i * rest..][..rest];
         let byte = |k: usize, channel: usize| {
-            let value = f64::from(bands.get(3 * k + channel).copied().unwrap_or(0.0));
-            ((value - SH_QUANT_LO) / (SH_QUANT_HI - SH_QUANT_LO) * 255.0).round().clamp(0.0, 255.0) as u8
+            let value = bands.get(3 * k + channel).copied().unwrap_or(0.0);
+            in_steps(value).round().clamp(0.0, 255.0) as u8
         };
         let coefficients = set.sh_coefficients;
         sh.extend((0..3 * coefficients).map(|at| byte(at % coefficients, at / coefficients)));
@@ -205,6 +228,31 @@ mod tests {
             |scene: &Scene| -> f32 { scene.epochs()[0].attributes().sh_rest.iter().map(|v| v * v).sum() };
         let ratio = power(&again) / power(&scene);
         assert!((0.97..1.03).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
+    fn what_is_clamped_is_said() {
+        let scene = |change: fn(&mut crate::Attributes)| {
+            let mut attributes = epoch(5, 1).attributes().clone();
+            attributes.sh0 = Track::Constant(vec![[0.0; 3]; 5]);
+            change(&mut attributes);
+            Scene::new(vec![Epoch::new(2, attributes).unwrap()], 30.0).unwrap()
+        };
+        assert!(notes(&scene(|_| ())).is_empty());
+        // At the second frame alone, of one of five; and in two rows of nine harmonics.
+        let said = notes(&scene(|attributes| {
+            let mut colours = vec![[0.0; 3]; 10];
+            colours[7] = [0.0, 2.0, 0.0];
+            attributes.sh0 = Track::PerFrame(colours);
+            attributes.sh_rest[3] = 4.1;
+            attributes.sh_rest[44] = -5.0;
+        }));
+        let ends = "were clamped to what the format holds";
+        let wanted = [
+            format!("colours of 1 Gaussian {ends}, 0 to 1"),
+            format!("harmonics of 2 Gaussians {ends}, -4 to 4"),
+        ];
+        assert_eq!(said, wanted);
     }
 
     #[test]

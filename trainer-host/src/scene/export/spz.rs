@@ -122,21 +122,58 @@ fn refused(why: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> io::Erro
     io::Error::new(io::ErrorKind::InvalidInput, why)
 }
 
-/// Fraction bits, at most `requested`, at which the furthest position fits in 24 bits.
-fn fraction_bits(epoch: &Epoch, t: usize, requested: u8) -> io::Result<u8> {
+/// The Gaussian with the largest coordinate in frame `t` of `epoch`, its position, and the magnitude of that
+/// coordinate, scene units.
+fn furthest(epoch: &Epoch, t: usize) -> (usize, [f32; 3], f32) {
     let positions = epoch.attributes().positions.frame(t, epoch.count());
-    let (mut furthest, mut at) = (0.0f32, 0);
+    let mut found = (0, positions.first().copied().unwrap_or_default(), 0.0);
     for (i, position) in positions.iter().enumerate() {
         let reach = position.iter().fold(0.0f32, |m, v| m.max(v.abs()));
-        if reach > furthest {
-            (furthest, at) = (reach, i);
+        if reach > found.2 {
+            found = (i, *position, reach);
         }
     }
+    found
+}
+
+/// What is said where positions in frame `t` of `epoch` are rounded more coarsely than the sizes of its
+/// Gaussians call for, since one is so far away.
+pub(super) fn coarse_positions(epoch: &Epoch, t: usize) -> Option<String> {
+    let called_for = fine_fraction_bits(epoch, t);
+    // What does not fit at all is refused when it is written.
+    let written = fraction_bits(epoch, t, called_for).ok().filter(|written| *written < called_for)?;
+    let (at, position, _) = furthest(epoch, t);
+    let step = |bits: u8| 1.0 / (1u32 << bits) as f32;
+    Some(format!(
+        "positions are rounded to {} scene units, where the sizes of the Gaussians call for {}: the \
+         furthest, Gaussian {at}, is at {position:?}, and the format has one step for all",
+        step(written),
+        step(called_for)
+    ))
+}
+
+/// Gaussians of `epoch` that have a harmonic above band 0 which the format does not hold.
+pub(super) fn beyond_in_harmonics(epoch: &Epoch) -> usize {
+    super::beyond_in_harmonics(epoch, |place, value| {
+        // Half a bucket beyond is still the nearest byte.
+        let half = 0.5 * bucket(place);
+        (-half..=255.0 + half).contains(&(value * 128.0 + 128.0))
+    })
+}
+
+/// Width of the grid of the harmonic at `place` in its row: the nine values of degree 1 come first, on the
+/// finer one.
+fn bucket(place: usize) -> f32 {
+    if place < 9 { 8.0 } else { 16.0 }
+}
+
+/// Fraction bits, at most `requested`, at which the furthest position fits in 24 bits.
+fn fraction_bits(epoch: &Epoch, t: usize, requested: u8) -> io::Result<u8> {
+    let (at, found, furthest) = furthest(epoch, t);
     (0..=requested.min(MOST_FRACTION_BITS))
         .rev()
         .find(|&bits| f64::from(furthest) * f64::from(1u32 << bits) + 0.5 < 8_388_607.0)
         .ok_or_else(|| {
-            let found = positions.get(at).copied().unwrap_or_default();
             refused(format!("SPZ: position of Gaussian {at} is {found:?}; up to 8388607 units are allowed"))
         })
 }
@@ -157,8 +194,7 @@ fn planes(epoch: &Epoch, t: usize, fraction_bits: u8) -> [Vec<u8>; 6] {
     let rotations = a.rotations.frame(t, n).iter().flat_map(|q| pack_rotation(*q).to_le_bytes());
     let rest = a.sh_degree.rest_len().max(1);
     let harmonics = a.sh_rest.iter().enumerate().map(|(i, &v)| {
-        // Nine values of degree 1 come first, on the finer grid.
-        let bucket = if i % rest < 9 { 8.0 } else { 16.0 };
+        let bucket = bucket(i % rest);
         byte(((v * 128.0 + 128.0) / bucket).round() * bucket)
     });
     [
@@ -293,6 +329,25 @@ mod tests {
         assert_eq!(bytes[13], 6);
         let back = import::spz::parse(&bytes, &Limits::default()).unwrap();
         agree(&epoch, &back.epoch, 6);
+    }
+
+    /// One Gaussian far from all others takes the bits of their positions, which is said.
+    #[test]
+    fn positions_that_one_gaussian_coarsens_are_said() {
+        let mut attributes = random(500, 2.0).attributes().clone();
+        attributes.log_scales = crate::Track::Constant(vec![[-4.0; 3]; 500]);
+        let near = Epoch::new(1, attributes.clone()).unwrap();
+        assert_eq!(coarse_positions(&near, 0), None);
+        let crate::Track::Constant(positions) = &mut attributes.positions else { panic!("one frame") };
+        positions[17] = [1.0, -50_000.0, 2.0];
+        let said = coarse_positions(&Epoch::new(1, attributes).unwrap(), 0).unwrap();
+        // Of 23 bits 50,000 takes 16, so that 7 are left of the usual 12.
+        let steps = [7, 12].map(|bits| 1.0 / (1u32 << bits) as f32);
+        let wanted = [
+            format!("rounded to {} scene units", steps[0]),
+            format!("call for {}: the furthest, Gaussian 17, is at [1.0, -50000.0, 2.0]", steps[1]),
+        ];
+        assert!(wanted.iter().all(|wanted| said.contains(wanted)), "{said}");
     }
 
     #[test]

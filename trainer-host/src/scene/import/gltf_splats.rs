@@ -3,15 +3,18 @@
 //! Rotation is xyzw, scale and opacity are linear, harmonics one accessor a coefficient; integers may be
 //! normalised. Colours are of the screen, or linear where the file says so: then band 0 is encoded, and
 //! higher bands, which cannot be exactly, are kept. Nodes turn, move and evenly scale what hangs on them.
-//! Other transforms, kernels and colour spaces are refused. Axes are kept: y up. Views compressed by meshopt
-//! are unfolded. Absent: primitives compressed as SPZ, which are refused by name.
+//! Other transforms, kernels, projections and colour spaces are refused. Axes are kept: y up. Views
+//! compressed by meshopt are unfolded. Absent: primitives compressed as SPZ, which are refused by name.
 
-use std::collections::BTreeMap;
+mod accessor;
+
+use std::{collections::BTreeMap, ops::RangeInclusive};
 
 use codec_core::ShDegree;
 use nalgebra::{Matrix3, Matrix4, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
+use self::accessor::{Accessor, View};
 use super::{
     Limits,
     bytes::{array, u32_at},
@@ -32,6 +35,10 @@ const EXTENSIONS: [&str; 4] = [EXTENSION, "KHR_mesh_quantization", COMPRESSIONS[
 const KERNEL: &str = "ellipse";
 const SCREEN: [&str; 2] = ["srgb_rec709_display", "BT.709-sRGB"];
 const LINEAR: [&str; 2] = ["lin_rec709_display", "BT.709-linear"];
+/// The projection that is read.
+const PROJECTION: &str = "perspective";
+/// Opacities, linear, with what rounding may add.
+const OPACITIES: RangeInclusive<f32> = -1e-3..=1.001;
 /// Deepest tree of nodes.
 const MAX_DEPTH: usize = 64;
 /// Most primitives, over all nodes.
@@ -85,27 +92,6 @@ struct Primitive {
     extensions: serde_json::Map<String, serde_json::Value>,
 }
 
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct Accessor {
-    buffer_view: Option<usize>,
-    #[serde(default)]
-    byte_offset: usize,
-    component_type: u32,
-    #[serde(default)]
-    normalized: bool,
-    count: usize,
-    #[serde(rename = "type")]
-    kind: String,
-    sparse: Option<serde_json::Value>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct View {
-    byte_stride: Option<usize>,
-}
-
 /// Whether a glTF file is of this kind.
 pub(super) fn is_splats(bytes: &[u8]) -> bool {
     let text = if bytes.starts_with(b"glTF") { json_chunk(bytes, true).map(|c| c.0) } else { Ok(bytes) };
@@ -144,9 +130,13 @@ pub fn parse(
         count: 0,
         notes: Vec::new(),
     };
-    let roots = match document.scenes.get(document.scene) {
-        Some(scene) => scene.nodes.clone(),
-        None => roots(&document.nodes),
+    let roots = match (document.scenes.get(document.scene), document.scenes.len()) {
+        (Some(scene), _) => scene.nodes.clone(),
+        (None, 0) if document.scene == 0 => roots(&document.nodes),
+        (None, scenes) => {
+            let allowed = format!("one of the file's {scenes}, counted from 0");
+            return Err(FORMAT.malformed("scene", document.scene, allowed));
+        }
     };
     for node in roots {
         reader.node(node, &Similarity::default(), 0)?;
@@ -174,9 +164,11 @@ fn is_linear(object: &serde_json::Value) -> Result<bool, ImportError> {
             value.as_str().map(str::to_owned).ok_or_else(|| FORMAT.malformed(key, value, "a name"))
         }
     };
-    let kernel = named("kernel", KERNEL)?;
-    if kernel != KERNEL {
-        return Err(FORMAT.unsupported("kernel", kernel, KERNEL));
+    for (key, read) in [("kernel", KERNEL), ("projection", PROJECTION)] {
+        let found = named(key, read)?;
+        if found != read {
+            return Err(FORMAT.unsupported(key, found, read));
+        }
     }
     // The second of each is what drafts called it.
     let space = named("colorSpace", SCREEN[0])?;
@@ -186,6 +178,13 @@ fn is_linear(object: &serde_json::Value) -> Result<bool, ImportError> {
         (_, true) => Ok(true),
         _ => Err(FORMAT.unsupported("colorSpace", space, format_args!("{} or {}", SCREEN[0], LINEAR[0]))),
     }
+}
+
+/// The highest degree of harmonics of which a primitive has a coefficient.
+fn stored_degree(primitive: &Primitive) -> u8 {
+    let prefix = format!("{EXTENSION}:SH_DEGREE_");
+    let of_key = |key: &String| key.strip_prefix(&prefix)?.split_once("_COEF_")?.0.parse::<u8>().ok();
+    primitive.attributes.keys().filter_map(of_key).max().unwrap_or(0)
 }
 
 /// The band-0 coefficient of a colour of the screen, of that of a linear one.
@@ -282,12 +281,8 @@ impl Reader<'_> {
         }
         let (rotations, _) = self.attribute(primitive, &own("ROTATION"), &["VEC4"])?;
         let (scales, _) = self.attribute(primitive, &own("SCALE"), &["VEC3"])?;
-        let mut degree = 0u8;
-        while degree < 3
-            && primitive.attributes.contains_key(&own(&format!("SH_DEGREE_{}_COEF_0", degree + 1)))
-        {
-            degree += 1;
-        }
+        let stored = stored_degree(primitive);
+        let degree = stored.min(ShDegree::MAX.get());
         let sh_degree = ShDegree::new(degree).unwrap_or(ShDegree::ZERO);
         let mut columns = Columns::with_capacity(count, sh_degree);
         let has_band0 = primitive.attributes.contains_key(&own("SH_DEGREE_0_COEF_0"));
@@ -302,6 +297,9 @@ impl Reader<'_> {
             (band0, colours.chunks_exact(width).map(|c| c[3]).collect())
         };
         let mut notes = Vec::new();
+        if degree < stored {
+            notes.push(format!("harmonics of degree {stored} are cut to degree {degree}"));
+        }
         if is_linear {
             band0.iter_mut().for_each(|value| *value = encoded(*value));
             let rest =
@@ -337,6 +335,11 @@ impl Reader<'_> {
             self.notes.extend(notes);
             return Ok(());
         }
+        let beyond = |opacity: &&f32| !opacity.is_nan() && !OPACITIES.contains(*opacity);
+        let clamped = opacities[..count].iter().filter(beyond).count();
+        if clamped > 0 {
+            notes.push(format!("opacities of {clamped} Gaussians were not within 0 to 1, and are clamped"));
+        }
         let three = |values: &[f32], i: usize| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
         for i in 0..count {
             let scale = three(&scales, i);
@@ -345,11 +348,16 @@ impl Reader<'_> {
                 let field = format!("scale of Gaussian {i}");
                 return Err(FORMAT.malformed(field, found, "standard deviations, not negative"));
             }
+            let opacity = opacities[i];
+            if !OPACITIES.contains(&opacity) && !self.limits.keep_readable {
+                let field = format!("opacity of Gaussian {i}");
+                return Err(FORMAT.malformed(field, opacity, "0 to 1"));
+            }
             let [x, y, z, w] = [0, 1, 2, 3].map(|c| rotations[4 * i + c]);
             columns.positions.push(three(&positions, i));
             columns.rotations.push([w, x, y, z]);
             columns.log_scales.push(scale.map(f32::ln));
-            columns.opacity_logits.push(logit(opacities[i].clamp(0.0, 1.0)));
+            columns.opacity_logits.push(logit(opacity.clamp(0.0, 1.0)));
             columns.sh0.push(three(&band0, i));
             let band = |values: &Vec<f32>| if i < with_bands { three(values, i) } else { [0.0; 3] };
             columns.sh_rest.extend(bands.iter().flat_map(band));
@@ -379,56 +387,7 @@ impl Reader<'_> {
         if !kinds.contains(&accessor.kind.as_str()) {
             return Err(FORMAT.malformed(name, &accessor.kind, kinds.join(" or ")));
         }
-        let width = match accessor.kind.as_str() {
-            "SCALAR" => 1,
-            "VEC3" => 3,
-            _ => 4,
-        };
-        if accessor.sparse.is_some() {
-            return Err(FORMAT.unsupported(name, "a sparse accessor", "plain values"));
-        }
-        self.limits.gaussians(FORMAT, accessor.count as u64)?;
-        let view =
-            accessor.buffer_view.ok_or_else(|| FORMAT.malformed(name, "no buffer view", "a buffer view"))?;
-        let bytes = self.buffers.view(view).map_err(|e| ImportError { field: name.into(), ..e })?;
-        let stride = self.document.buffer_views.get(view).and_then(|view| view.byte_stride);
-        let (size, full) = match (accessor.component_type, accessor.normalized) {
-            (5126, _) => (4, 1.0),
-            (5120, true) => (1, 127.0),
-            (5121, true) => (1, 255.0),
-            (5122, true) => (2, 32_767.0),
-            (5123, true) => (2, 65_535.0),
-            (5120 | 5121, false) => (1, 1.0),
-            (5122 | 5123, false) => (2, 1.0),
-            (other, _) => return Err(FORMAT.malformed(name, other, "component type 5120 to 5123 or 5126")),
-        };
-        let stride = stride.unwrap_or(width * size);
-        let needed = (accessor.count - 1)
-            .checked_mul(stride)
-            .and_then(|bytes| bytes.checked_add(accessor.byte_offset)?.checked_add(width * size));
-        let mut count = accessor.count;
-        if needed.is_none_or(|needed| needed > bytes.len()) {
-            if !self.limits.keep_readable {
-                let needed = needed.unwrap_or(usize::MAX) as u64;
-                return Err(FORMAT.truncated(name, bytes.len() as u64, needed));
-            }
-            let behind_first =
-                bytes.len().checked_sub(accessor.byte_offset).and_then(|left| left.checked_sub(width * size));
-            count =
-                behind_first.map_or(0, |left| left.checked_div(stride).map_or(count, |n| count.min(n + 1)));
-        }
-        let scalar = |at: usize| -> f32 {
-            let value = match accessor.component_type {
-                5126 => return f32::from_le_bytes(array(bytes, at).unwrap_or_default()),
-                5120 => f32::from(i8::from_le_bytes(array(bytes, at).unwrap_or_default())),
-                5121 => f32::from(bytes[at]),
-                5122 => f32::from(i16::from_le_bytes(array(bytes, at).unwrap_or_default())),
-                _ => f32::from(u16::from_le_bytes(array(bytes, at).unwrap_or_default())),
-            };
-            (value / full).max(if accessor.normalized { -1.0 } else { f32::MIN })
-        };
-        let element = |i: usize| (0..width).map(move |c| accessor.byte_offset + i * stride + c * size);
-        Ok(((0..count).flat_map(element).map(scalar).collect(), width))
+        accessor.values(name, &self.document.buffer_views, &self.buffers, self.limits)
     }
 
     /// All primitives as one, each where its nodes put it.

@@ -1,10 +1,10 @@
 //! Reads coloured points with cameras from a NumPy archive, as splat trainers start from; or what gsplat has
 //! made of such, which may be a safetensors file too.
 //!
-//! Members `means3d` (N×3 floats) and `colors` (N×3 bytes, or floats in 0..=1) are needed; `viewmats`
-//! (C×3×4 or C×4×4 world-to-camera), `Ks` (C×3×3), `width` and `height` make cameras where all four
-//! are there. Each point becomes a round Gaussian: standard deviation half the root mean square
-//! distance to its three nearest, at most ten times the median (far outliers have no neighbours),
+//! Members `means3d` (N×3 floats) and `colors` (N×3 whole numbers of 0 to 255, or floats of 0 to 1) are
+//! needed; `viewmats` (C×3×4 or C×4×4 world-to-camera), `Ks` (C×3×3), `width` and `height` make cameras
+//! where all four are there. Each point becomes a round Gaussian: standard deviation half the root mean
+//! square distance to its three nearest, at most ten times the median (far outliers have no neighbours),
 //! opacity 0.9. Axes are those of the points (OpenCV cameras).
 //!
 //! Shapes are checked against the limits before any value is unpacked, and memory grows with the values
@@ -30,6 +30,8 @@ use crate::scene::Scene;
 
 const FORMAT: Format = Format::PointsNpz;
 const MAX_CAMERAS: usize = 100_000;
+/// How far beyond 0 to 1 a colour of floats may be: what rounding to half precision makes of 1.
+const ROUNDING: f64 = 1e-3;
 /// Neighbours that decide the size of a Gaussian.
 const NEIGHBOURS: usize = 3;
 
@@ -44,7 +46,7 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
     }
     let mut archive = Archive::new(bytes, limits, FORMAT)?;
     let mut positions = positions(&mut archive, limits)?;
-    let mut sh0 = colours(&mut archive, positions.len())?;
+    let mut sh0 = colours(&mut archive, positions.len(), limits)?;
     let mut notes = Vec::new();
     if limits.keep_readable {
         // Before sizes are taken from them: a place that is no number is near to nothing.
@@ -90,15 +92,29 @@ fn positions(archive: &mut Archive<'_>, limits: &Limits) -> Result<Vec<[f32; 3]>
     Ok(points)
 }
 
-/// Band-0 coefficients of `count` points.
-fn colours(archive: &mut Archive<'_>, count: usize) -> Result<Vec<[f32; 3]>, ImportError> {
+/// Band-0 coefficients of `count` points, whose colours are in range unless `keep_readable`.
+fn colours(archive: &mut Archive<'_>, count: usize, limits: &Limits) -> Result<Vec<[f32; 3]>, ImportError> {
     let colours = Array::open(archive, "colors")?;
     if colours.shape() != [count, 3] {
         return Err(colours.misshapen(&format!("{count} x 3")));
     }
-    let full = if colours.element() == Element::U8 { 255.0 } else { 1.0 };
+    let (full, low, high, allowed) = match colours.element() {
+        Element::U8 | Element::I32 | Element::I64 => (255.0, 0.0, 255.0, "whole numbers of 0 to 255"),
+        Element::F16 | Element::F32 | Element::F64 => {
+            (1.0, -ROUNDING, 1.0 + ROUNDING, "floats of 0 to 1; colours of 0 to 255 are whole numbers")
+        }
+    };
     let mut out = Vec::new();
-    colours.rows(3, |v| out.push([v[0], v[1], v[2]].map(|c| sh0_of_colour((c / full) as f32))))?;
+    let mut beyond = None;
+    colours.rows(3, |v| {
+        if beyond.is_none() && !v.iter().all(|c| (low..=high).contains(c)) {
+            beyond = Some((out.len(), format!("{v:?}")));
+        }
+        out.push([v[0], v[1], v[2]].map(|c| sh0_of_colour((c / full) as f32)));
+    })?;
+    if let Some((index, found)) = beyond.filter(|_| !limits.keep_readable) {
+        return Err(FORMAT.malformed(format!("colors[{index}]"), found, allowed));
+    }
     Ok(out)
 }
 
@@ -218,6 +234,37 @@ pub(super) mod tests {
         assert!((0.5 + 0.282_094_8 * g[0].sh0[0] - 1.0).abs() < 1e-6);
         assert_eq!(scene.cameras.len(), 1);
         assert_eq!(scene.cameras[0].translation(), [0.0, 0.0, 5.0]);
+    }
+
+    /// 0 to 255 in any type of whole numbers, 0 to 1 in any of floats.
+    #[test]
+    fn colours_are_of_their_type_and_in_its_range() {
+        let whole = [255i64, 0, 128, 0, 0, 0, 10, 20, 30, 40, 50, 60];
+        let as_i64 = |values: &[i64]| {
+            npy("<i8", "(4, 3)", &values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>())
+        };
+        let as_f32 = |values: &[f32]| npy("<f4", "(4, 3)", &floats(values));
+        let sh0 = |scene: Scene| scene.epochs()[0].attributes().sh0.clone();
+        let plain = sh0(parse(&sample(), 30.0, &Limits::default()).unwrap());
+        assert_eq!(sh0(with("colors", as_i64(&whole)).unwrap()), plain);
+        let unit: Vec<f32> = whole.iter().map(|&v| (v as f64 / 255.0) as f32).collect();
+        assert_eq!(sh0(with("colors", as_f32(&unit)).unwrap()), plain);
+        let mut rounded = unit.clone();
+        rounded[0] = 1.000_9;
+        assert!(with("colors", as_f32(&rounded)).is_ok());
+
+        for (at, value) in [(3, 256), (8, -1)] {
+            let mut wrong = whole;
+            wrong[at] = value;
+            let error = with("colors", as_i64(&wrong)).unwrap_err().to_string();
+            assert!(error.contains(&format!("colors[{}]", at / 3)) && error.contains("0 to 255"), "{error}");
+        }
+        for value in [200.0, -0.01, f32::NAN] {
+            let mut wrong = unit.clone();
+            wrong[9] = value;
+            let error = with("colors", as_f32(&wrong)).unwrap_err().to_string();
+            assert!(error.contains("colors[3]") && error.contains("floats of 0 to 1"), "{error}");
+        }
     }
 
     #[test]

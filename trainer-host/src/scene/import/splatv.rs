@@ -44,8 +44,8 @@ struct Chunk {
 /// Reads a `.splatv` file as a clip of [`FRAMES`] frames.
 ///
 /// # Errors
-/// Another magic or chunk, a length that contradicts the file's, values that are not numbers, or more than
-/// `limits` allow.
+/// Another magic or chunk, a length that contradicts the file's or that of a splat, negative scales, values
+/// that are not numbers, or more than `limits` allow.
 pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Scene, ImportError> {
     limits.bytes(FORMAT, "file", bytes.len() as u64)?;
     if array(bytes, 0) != Some(MAGIC) {
@@ -63,6 +63,15 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
     let chunk = chunk.ok_or_else(|| FORMAT.malformed("chunk", "another type", "splat").at(8))?;
     let data = &bytes[8 + length..];
     let mut notes = Vec::new();
+    let tail = chunk.size % RECORD;
+    if tail > 0 {
+        if !limits.keep_readable {
+            let field = "size of the chunk in bytes";
+            let allowed = format_args!("a multiple of {RECORD}, which a splat takes");
+            return Err(FORMAT.malformed(field, chunk.size, allowed).at(8));
+        }
+        notes.push(format!("{tail} bytes after the last whole splat are ignored"));
+    }
     let size = if chunk.size <= data.len() {
         chunk.size
     } else if limits.keep_readable {
@@ -75,7 +84,14 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
     limits.gaussians(FORMAT, records.len() as u64)?;
     limits.bytes(FORMAT, "frames", records.len() as u64 * FRAME_BYTES * FRAMES as u64)?;
     // Textures are padded with splats that never show.
-    let splats: Vec<MovingSplat> = records.map(MovingSplat::read).filter(|splat| splat.alpha > 0.0).collect();
+    let shown = records.map(MovingSplat::read).enumerate().filter(|(_, splat)| splat.alpha > 0.0);
+    let mut splats = Vec::new();
+    for (index, splat) in shown {
+        if !limits.keep_readable {
+            splat.check(index).map_err(|error| error.at(8 + length + index * RECORD))?;
+        }
+        splats.push(splat);
+    }
     limits.gaussians(FORMAT, splats.len() as u64)?;
     let epoch = finished(FRAMES, splats.len(), attributes(&splats), FORMAT, limits, &mut notes)?;
     let mut scene = Scene::new(vec![epoch], frames_per_second).map_err(|e| scene_error(FORMAT, &e))?;
@@ -116,6 +132,21 @@ impl MovingSplat {
         }
     }
 
+    /// Refuses scales and widths of splat `index` that mean nothing.
+    fn check(&self, index: usize) -> Result<(), ImportError> {
+        // What is no number has no logarithm either, as is seen where all values are checked.
+        if self.scale.iter().any(|&s| s < 0.0) {
+            let found = format!("{:?}", self.scale);
+            let allowed = "standard deviations, not negative";
+            return Err(FORMAT.malformed(format!("scale of splat {index}"), found, allowed));
+        }
+        if self.width.is_nan() {
+            let allowed = "a share of the clip";
+            return Err(FORMAT.malformed(format!("width in time of splat {index}"), self.width, allowed));
+        }
+        Ok(())
+    }
+
     /// How far frame `t` is from the centre of its time.
     fn distance(&self, t: usize) -> f32 {
         t as f32 / (FRAMES - 1) as f32 - self.centre
@@ -133,7 +164,9 @@ impl MovingSplat {
     }
 
     fn opacity(&self, t: usize) -> f32 {
-        let share = self.distance(t) / self.width.max(1e-6);
+        // A width that is no number makes opacities that are none, which leave the splat out.
+        let width = if self.width < 1e-6 { 1e-6 } else { self.width };
+        let share = self.distance(t) / width;
         self.alpha * (-share * share).exp()
     }
 }
@@ -146,7 +179,7 @@ fn attributes(splats: &[MovingSplat]) -> Attributes {
     Attributes {
         positions: frames(splats, MovingSplat::position),
         rotations: frames(splats, MovingSplat::rotation),
-        log_scales: Track::Constant(splats.iter().map(|s| s.scale.map(|v| v.max(0.0).ln())).collect()),
+        log_scales: Track::Constant(splats.iter().map(|s| s.scale.map(f32::ln)).collect()),
         opacity_logits: frames(splats, |splat, t| logit(splat.opacity(t))),
         sh0: Track::Constant(splats.iter().map(|s| s.colour.map(sh0_of_colour)).collect()),
         sh_rest: Vec::new(),
@@ -209,6 +242,51 @@ pub(super) mod tests {
         assert_eq!((scene.frames(), scene.max_count()), (FRAMES, 2));
         assert_eq!(scene.instant(FRAMES - 1).unwrap().gaussians[1].position, [9.0, 0.0, 2.0]);
         assert!(scene.notes[0].starts_with("1 Gaussians left out"), "{:?}", scene.notes);
+    }
+
+    /// The sample with these bytes at `at` of its second splat.
+    fn with(at: usize, bytes: &[u8]) -> Vec<u8> {
+        let mut out = sample(3);
+        let start = out.len() - 2 * RECORD + at;
+        out[start..start + bytes.len()].copy_from_slice(bytes);
+        out
+    }
+
+    #[test]
+    fn scales_and_widths_that_mean_nothing_are_refused_or_leave_their_splat_out() {
+        let half = |value: f32| f16::from_f32(value).to_bits().to_le_bytes();
+        let keep = Limits { keep_readable: true, ..Limits::default() };
+        for (at, value, says) in [
+            (22, -0.5, "scale of splat 1"),
+            (20, f32::NAN, "log-scale of Gaussian 1"),
+            (62, f32::NAN, "width in time of splat 1"),
+        ] {
+            let bytes = with(at, &half(value));
+            let error = parse(&bytes, 30.0, &Limits::default()).unwrap_err();
+            assert!(error.to_string().contains(says), "{error}");
+            let place = (bytes.len() - 2 * RECORD) as u64;
+            assert!(error.offset.is_none_or(|offset| offset == place), "{error}");
+            assert_eq!(parse(&bytes, 30.0, &keep).unwrap().max_count(), 2, "{says}");
+        }
+        // A scale of 0 is as small as there is, and what never shows may hold anything.
+        assert!(parse(&with(20, &half(0.0)), 30.0, &Limits::default()).is_ok());
+        let mut hidden = with(22, &half(-0.5));
+        let alpha = hidden.len() - 2 * RECORD + 31;
+        hidden[alpha] = 0;
+        assert_eq!(parse(&hidden, 30.0, &Limits::default()).unwrap().max_count(), 2);
+    }
+
+    #[test]
+    fn a_size_that_cuts_a_splat_is_refused_or_ignored() {
+        let text = String::from_utf8_lossy(&sample(3)[8..]).into_owned();
+        let at = 8 + text.find("192").unwrap();
+        let mut cut = sample(3);
+        cut[at..at + 3].copy_from_slice(b"150");
+        let error = parse(&cut, 30.0, &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains("size of the chunk") && error.contains("150"), "{error}");
+        let scene = parse(&cut, 30.0, &Limits { keep_readable: true, ..Limits::default() }).unwrap();
+        assert_eq!(scene.max_count(), 2);
+        assert!(scene.notes[0].starts_with("22 bytes after the last whole splat"), "{:?}", scene.notes);
     }
 
     #[test]

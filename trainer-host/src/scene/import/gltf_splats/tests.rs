@@ -96,6 +96,12 @@ fn what_contradicts_itself_is_named() {
         (r#""componentType":5126"#, r#""componentType":9"#, "component type"),
         (r#""ellipse""#, r#""customShape""#, "kernel: found customShape; allowed: ellipse"),
         (r#""ellipse""#, "7", "kernel: found 7"),
+        (r#""perspective""#, r#""orthographic""#, "projection: found orthographic; allowed: perspective"),
+        (r#""scene":0"#, r#""scene":4"#, "scene: found 4; allowed: one of the file's 1"),
+        // Elements of 12 bytes would overlap, or lie where the format allows none.
+        (r#""target""#, r#""byteStride":8,"target""#, "byteStride of POSITION: found 8; allowed: 12 to 252"),
+        (r#""target""#, r#""byteStride":14,"target""#, "byteStride of POSITION: found 14"),
+        (r#""target""#, r#""byteStride":256,"target""#, "byteStride of POSITION: found 256"),
         (
             "srgb_rec709_display",
             "BT.2020-pq",
@@ -109,6 +115,49 @@ fn what_contradicts_itself_is_named() {
     let error = parse(&bytes[..bytes.len() - 9], nothing, &Limits::default()).unwrap_err();
     assert_eq!(error.kind, ErrorKind::Truncated);
 }
+
+/// A degree is that of the highest coefficient there is: one that lacks others is refused, not left out.
+#[test]
+fn no_band_is_left_out_unsaid() {
+    let key = |degree: u8| format!("\"KHR_gaussian_splatting:SH_DEGREE_{degree}_COEF_0\":");
+    let bytes = export::gltf::encode(&export::tests::epoch(5, 3), 0).unwrap();
+    for degree in [1, 2, 3] {
+        let without = edited(&bytes, &key(degree), "\"_OTHER\":");
+        let error = parse(&without, nothing, &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains(&format!("SH_DEGREE_{degree}_COEF_0: found nothing")), "{error}");
+    }
+    let more = edited(&bytes, &key(3), &format!("{}0,{}", key(4), key(3)));
+    let read = parse(&more, nothing, &Limits::default()).unwrap();
+    assert_eq!(read.epoch.attributes().sh_degree, ShDegree::MAX);
+    assert_eq!(read.notes, ["harmonics of degree 4 are cut to degree 3"]);
+}
+
+#[test]
+fn opacities_beyond_their_range_are_refused_or_said() {
+    // Before them 36 bytes of positions, 12 of colours, 48 of rotations and 36 of scales.
+    let with = |opacity: f32| {
+        let mut bytes = sample(3);
+        let binary = json_chunk(&bytes, false).unwrap().1.unwrap().len();
+        let second = bytes.len() - binary + 132 + 4;
+        bytes[second..second + 4].copy_from_slice(&opacity.to_le_bytes());
+        bytes
+    };
+    let keep = Limits { keep_readable: true, ..Limits::default() };
+    for (opacity, drawn) in [(1.5, 1.0), (-0.25, 0.0)] {
+        let error = parse(&with(opacity), nothing, &Limits::default()).unwrap_err().to_string();
+        let says = format!("opacity of Gaussian 1: found {opacity}; allowed: 0 to 1");
+        assert!(error.contains(&says), "{error}");
+        let read = parse(&with(opacity), nothing, &keep).unwrap();
+        assert!(read.notes[0].contains("opacities of 1 Gaussians"), "{:?}", read.notes);
+        assert!((read.epoch.instant(0).gaussians[1].opacity - drawn).abs() < 1e-4);
+    }
+    let rounded = parse(&with(1.000_01), nothing, &Limits::default()).unwrap();
+    assert!(rounded.notes.is_empty(), "{:?}", rounded.notes);
+    // What is no number is left out, as ever.
+    assert!(parse(&with(f32::NAN), nothing, &Limits::default()).is_err());
+    assert_eq!(parse(&with(f32::NAN), nothing, &keep).unwrap().epoch.count(), 2);
+}
+
 const PLAIN: &[u8] = include_bytes!("../../../../tests/compressed/splats.glb");
 const PACKED: &[u8] = include_bytes!("../../../../tests/compressed/packed-splats.glb");
 
