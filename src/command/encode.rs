@@ -7,9 +7,7 @@ use render_host::Backend;
 use serde_json::json;
 use trainer_host::{
     Scene, Stream,
-    encode::{
-        COARSENESS, Decisions, EncodeOptions, Encoded, PacketReport, Protection, Report, Target, TargetViews,
-    },
+    encode::{Decisions, EncodeOptions, Encoded, PacketReport, Protection, Report, Target, TargetViews},
     evaluator::{self, Segment},
     stream::PacketMap,
     train::dataset,
@@ -299,15 +297,17 @@ fn cluster_size_note(args: &Encode, report: &Report) -> Option<String> {
 
 /// Share of a target size below which a stream is not close to it.
 const CLOSE: f64 = 0.98;
+/// Below this, coarseness is beyond what pictures show.
+const FINE: f32 = 1.0 / 16.0;
 
-/// What is said of a target size that is more than the scene takes at any coarseness.
+/// What is said of a target size that is more than the scene takes at any coarseness that is tried.
 fn finest_note(report: &Report) -> Option<String> {
     let reached = report.reached?;
     let is_size = !matches!(reached.target, Target::PsnrDb(_));
-    let is_at_end = reached.coarseness <= COARSENESS.0 && reached.value < CLOSE * reached.target.value();
-    (is_size && is_at_end).then(|| {
+    let is_less = reached.value < CLOSE * reached.target.value();
+    (is_size && is_less && reached.coarseness < FINE).then(|| {
         format!(
-            "{} is {}: coarseness {}, the finest that is tried, comes to {}",
+            "{} is {}: coarseness {}, the closest that was tried, comes to {}",
             reached.target.name(),
             number(reached.target.value()),
             reached.coarseness,

@@ -103,7 +103,7 @@ fn the_complete_state_is_close_to_the_source() {
 fn clusters_of_one_gaussian_move_without_a_basis() {
     let figure = synth::SynthOptions {
         kind: SynthKind::Figure,
-        gaussians: 300,
+        gaussians: 1000,
         frames: 30,
         frames_per_second: 30.0,
         seed: 7,

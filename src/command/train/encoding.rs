@@ -155,12 +155,18 @@ pub(super) fn within_loss(
     }
     let (reduced, background) = (trained.reduced, trained.options.background);
     let psnr_db = |shown: &dyn DynamicScene| -> Result<f64> {
-        let found = if dataset.validation.is_empty() {
-            train::evaluate(shown, &dataset.train.sample(VIEWS), reduced, background)
-        } else {
-            train::evaluate(shown, &dataset.validation.sample(VIEWS), reduced, background)
-        };
-        Ok(found?.psnr_db)
+        let mut psnr_db = f64::NAN;
+        if !dataset.validation.is_empty() {
+            psnr_db = train::evaluate(shown, &dataset.validation.sample(VIEWS), reduced, background)?.psnr_db;
+        }
+        // Views of which masks leave nothing have none; some view to train on has one.
+        if psnr_db.is_nan() {
+            psnr_db = train::evaluate(shown, &dataset.train.sample(VIEWS), reduced, background)?.psnr_db;
+        }
+        if psnr_db.is_nan() {
+            psnr_db = train::evaluate(shown, &dataset.train, reduced, background)?.psnr_db;
+        }
+        Ok(psnr_db)
     };
     let trained_db = psnr_db(&trained.shown())?;
     let attempt = |number: usize, coarseness: f64| -> Result<Attempt> {

@@ -34,8 +34,8 @@ impl Figure {
     pub(super) fn line(&self) -> String {
         let mut text = figure(&self.what, &self.found);
         if let Some(Perceptual { flip, lpips }) = self.seen {
-            let lpips = lpips.map_or(String::new(), |lpips| format!(", LPIPS {lpips:.4}"));
-            text.insert_str(text.trim_end().len(), &format!(", FLIP {flip:.4}{lpips}"));
+            let lpips = lpips.map_or(String::new(), |lpips| format!(", LPIPS {}", share(lpips)));
+            text.insert_str(text.trim_end().len(), &format!(", FLIP {}{lpips}", share(flip)));
         }
         text
     }
@@ -56,14 +56,19 @@ pub(super) fn decibels(psnr_db: f64) -> String {
     if psnr_db.is_finite() { format!("{psnr_db:.2}") } else { "–".to_owned() }
 }
 
+/// SSIM, FLIP or LPIPS for people; a dash where masks leave nothing to compare.
+pub(super) fn share(value: f64) -> String {
+    if value.is_finite() { format!("{value:.4}") } else { "–".to_owned() }
+}
+
 /// A line about how well some views agree.
 pub(super) fn figure(what: &str, found: &Evaluation) -> String {
     format!(
-        "  {what:<48} {} dB (worst view {}, foreground {}), SSIM {:.4}, {} x {}, background {:?}\n",
+        "  {what:<48} {} dB (worst view {}, foreground {}), SSIM {}, {} x {}, background {:?}\n",
         decibels(found.psnr_db),
         decibels(found.worst_psnr_db),
         decibels(found.foreground_psnr_db),
-        found.ssim,
+        share(found.ssim),
         found.size.0,
         found.size.1,
         found.background

@@ -7,7 +7,7 @@ use render_host::Image;
 use trainer_host::train::{self, Dataset, DynamicScene};
 
 use super::{
-    figures::{Figure, decibels},
+    figures::{Figure, decibels, share},
     log::Log,
     trained::Trained,
 };
@@ -113,13 +113,12 @@ impl Page<'_> {
         out += "<h2>Quality</h2>\n<table><tr><th>views</th><th>size</th><th>background</th><th>PSNR, dB</th>\
                 <th>worst view</th><th>foreground</th><th>SSIM</th><th>FLIP</th><th>LPIPS</th></tr>\n";
         for Figure { what, found, seen } in self.figures {
-            let flip = seen.map_or("–".to_owned(), |seen| format!("{:.4}", seen.flip));
-            let lpips = seen.and_then(|seen| seen.lpips);
-            let lpips = lpips.map_or("–".to_owned(), |lpips| format!("{lpips:.4}"));
+            let flip = share(seen.map_or(f64::NAN, |seen| seen.flip));
+            let lpips = share(seen.and_then(|seen| seen.lpips).unwrap_or(f64::NAN));
             let _ = writeln!(
                 out,
                 "<tr><td>{}</td><td>{} × {}</td><td>{:?}</td><td>{}</td><td>{}</td><td>{}</td>\
-                 <td>{:.4}</td><td>{flip}</td><td>{lpips}</td></tr>",
+                 <td>{}</td><td>{flip}</td><td>{lpips}</td></tr>",
                 escape(what),
                 found.size.0,
                 found.size.1,
@@ -127,7 +126,7 @@ impl Page<'_> {
                 decibels(found.psnr_db),
                 decibels(found.worst_psnr_db),
                 decibels(found.foreground_psnr_db),
-                found.ssim
+                share(found.ssim)
             );
         }
         out += "</table>\n<h2>Photographs, pictures before and after, errors</h2>\n";

@@ -84,9 +84,7 @@ pub enum EncodeError {
         found: f64,
     },
     /// No coarseness meets the target.
-    #[error(
-        "{option} is {wanted}; coarseness {coarseness}, the furthest that is tried, reaches {reached:.2}"
-    )]
+    #[error("{option} is {wanted}; coarseness {coarseness}, the best of those tried, reaches {reached:.2}")]
     Unreachable {
         /// Which target.
         option: &'static str,

@@ -43,7 +43,7 @@ const CLOSE: f64 = 0.02;
 /// As is a PSNR within this many dB above it.
 const CLOSE_DB: f64 = 0.3;
 
-/// Excess where nothing can be written: more than that of any stream, be it dB or the logarithm of a ratio.
+/// Excess where nothing can be written that is right: more than that of any stream, be it dB or the logarithm of a ratio.
 const NOT_WRITTEN: f64 = 100.0;
 
 /// Encodes the scene of `analysis` at the coarseness that comes closest to `target` without missing it.
@@ -94,7 +94,10 @@ pub(super) fn encode(
             (Target::PsnrDb(_), Some(evaluator)) => evaluator.whole(&encoded.stream)?,
             _ => size(target, &encoded),
         };
-        Ok::<_, EncodeError>((excess(target, value), Ok((encoded, coarseness, value))))
+        // Values that the format's numbers do not reach are cut off: such a stream is worse, not finer.
+        let is_cut = coarseness < USUAL_FINEST && encoded.report.ledger.saturated > 0;
+        let excess = if is_cut { NOT_WRITTEN } else { excess(target, value) };
+        Ok::<_, EncodeError>((excess, Ok((encoded, coarseness, value))))
     })?;
     let (mut encoded, coarseness, value) = found.what?;
     if found.excess > 0.0 {
@@ -216,12 +219,20 @@ impl Search {
         let mut at = 0f64.clamp(self.low, self.high);
         let (excess, what) = measure(0, at)?;
         let mut best = BestPlace { at, excess, what, tries: 1 };
-        let (mut fits, mut exceeds) = (None, None);
+        let (mut fits, mut exceeds, mut not_written) = (None, None, None);
         let (mut last, mut slope) = ((at, excess), self.slope);
         loop {
-            *(if last.1 <= 0.0 { &mut fits } else { &mut exceeds }) = Some(last);
+            if last.1 >= NOT_WRITTEN && fits.is_none() && exceeds.is_some() {
+                // What fits lies before it, if anything does.
+                not_written = Some(last.0);
+            } else {
+                *(if last.1 <= 0.0 { &mut fits } else { &mut exceeds }) = Some(last);
+            }
             let close = best.excess <= 0.0 && best.excess >= -self.close;
-            let next = self.next(fits, exceeds, slope, MOST - best.tries);
+            let next = match (exceeds, fits, not_written) {
+                (Some((from, _)), None, Some(end)) => (end - from > 0.02).then_some(0.5 * (from + end)),
+                _ => self.next(fits, exceeds, slope, MOST - best.tries),
+            };
             let Some(next) = next.filter(|_| !close && best.tries < MOST) else { return Ok(best) };
             at = next;
             let (excess, what) = measure(best.tries, at)?;
@@ -404,6 +415,25 @@ mod tests {
         assert!(found.excess > 0.0 && places.contains(&6.9), "{places:?}");
     }
 
+    /// From some place on nothing can be written that is right: what fits before it is found.
+    #[test]
+    fn the_search_turns_back_where_nothing_can_be_written() {
+        let search = Search { lowest: -6.9, low: -6.9, high: 2.7, highest: 6.9, slope: 6.0, close: 0.3 };
+        for zero in [3.0, 3.4] {
+            let excess = |at: f64| if at < 4.0 { -5.0 * (at - zero) } else { NOT_WRITTEN };
+            let found = search.run(|_, at| Ok::<_, ()>((excess(at), at))).unwrap();
+            assert!(
+                found.excess <= 0.0 && found.what >= zero && found.tries <= MOST,
+                "{zero}: {}",
+                found.what
+            );
+        }
+        let search = Search { lowest: -6.9, low: -2.7, high: 6.9, highest: 6.9, slope: 0.25, close: 0.02 };
+        let excess = |at: f64| if at > -4.0 { -0.3 * (at + 5.0) } else { NOT_WRITTEN };
+        let found = search.run(|_, at| Ok::<_, ()>((excess(at), at))).unwrap();
+        assert!(found.excess <= 0.0 && found.what < -2.7, "{}", found.what);
+    }
+
     /// On a plateau many coarsenesses give one PSNR: the coarsest of those tried takes fewest bytes.
     #[test]
     fn of_places_that_fit_alike_the_least_is_taken() {
@@ -424,9 +454,12 @@ mod tests {
         let reached = encoded(Target::PsnrDb(90.0)).unwrap().report.reached.unwrap();
         assert!(reached.value >= 90.0 && reached.encodes <= MOST, "{reached:?}");
         assert!((COARSENESS.0..USUAL_FINEST).contains(&reached.coarseness), "{reached:?}");
-        // No coarseness makes that many bytes.
-        let reached = encoded(Target::Bytes(100_000_000)).unwrap().report.reached.unwrap();
-        assert_eq!(reached.coarseness, COARSENESS.0, "{reached:?}");
+        // No coarseness makes that many bytes, and none of those tried may spoil the scene.
+        let fine = encoded(Target::Bytes(100_000_000)).unwrap();
+        let reached = fine.report.reached.unwrap();
+        assert!(reached.coarseness < USUAL_FINEST && fine.report.ledger.saturated == 0, "{reached:?}");
+        let evaluator = Evaluator::validation(&scene(), spread(0, 4, FRAMES)).unwrap();
+        assert!(evaluator.whole(&fine.stream).unwrap() > 75.0);
     }
 
     #[test]

@@ -3,16 +3,14 @@
 use std::{marker::PhantomData, ops::Range};
 
 use codec_core::{Footprint, ShDegree};
-use rand::seq::SliceRandom;
-use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use render_host::{Camera, adjoint::loss::photograph::Photograph};
 
 use super::pixel_mask::PixelMask;
 use crate::scene::{Instant, Up};
 
-/// Mixes the places of photographs in a sample: the same numbers give the same sample.
-const SAMPLE_SEED: u64 = 1;
+/// Multiples of it, whole numbers left out, are spread evenly however many they are.
+const GOLDEN_RATIO: f64 = 1.618_033_988_749_895;
 
 /// A photograph, from where and when it was taken.
 #[derive(Clone, Debug)]
@@ -136,16 +134,16 @@ impl<Split> Views<Split> {
         Self { photographs, split: PhantomData }
     }
 
-    /// Indices of `count` of them, evenly spread over moments. Places, which are those of cameras where each
-    /// takes all moments, come in a mixed order: in one of equal steps, part of the sample might be of few.
+    /// Indices of `count` of them, evenly spread over moments and over the places in a moment, which are those
+    /// of cameras where each takes all moments. Each next place is far from those before, in a part of the
+    /// sample as in all of it: with equal steps, it might be of few.
     fn of_moments(&self, count: usize) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.photographs.len()).collect();
         order.sort_by(|&a, &b| self.photographs[a].time.total_cmp(&self.photographs[b].time));
         let same = |&a: &usize, &b: &usize| self.photographs[a].time == self.photographs[b].time;
         let mut moments: Vec<Vec<(usize, usize)>> =
             order.chunk_by(same).map(|moment| moment.iter().copied().enumerate().collect()).collect();
-        let mut places: Vec<usize> = (0..moments.iter().map(Vec::len).max().unwrap_or(0)).collect();
-        places.shuffle(&mut Pcg64Mcg::new(u128::from(SAMPLE_SEED)));
+        let places = far_apart(moments.iter().map(Vec::len).max().unwrap_or(0));
         let mut chosen = Vec::with_capacity(count);
         for k in 0..count {
             let first = k * moments.len() / count;
@@ -181,6 +179,17 @@ impl<Split> Views<Split> {
     pub fn instants(&self) -> usize {
         distinct(self.photographs.iter().map(|view| view.time))
     }
+}
+
+/// 0 to `count` − 1 in such an order that the first of them, however many, are spread over all: by multiples
+/// of the golden ratio.
+fn far_apart(count: usize) -> Vec<usize> {
+    let share = |k: usize| (k as f64 * GOLDEN_RATIO).fract();
+    let mut by_share: Vec<usize> = (0..count).collect();
+    by_share.sort_by(|&a, &b| share(a).total_cmp(&share(b)));
+    let mut places = vec![0; count];
+    by_share.iter().enumerate().for_each(|(place, &k)| places[k] = place);
+    places
 }
 
 /// How many different ones there are of `times`.
@@ -304,7 +313,24 @@ mod tests {
             assert_eq!((cameras, moments), (count.min(24), count.min(frames)), "{count} of {frames} frames");
             // Every fifth of them is a sample itself.
             let fifth = different(names.iter().step_by(5).map(|(place, _)| *place));
-            assert!(5 * fifth >= 4 * count.div_ceil(5), "{count} of {frames} frames: {fifth} cameras");
+            assert!(4 * fifth >= 3 * count.div_ceil(5), "{count} of {frames} frames: {fifth} cameras");
+        }
+    }
+
+    /// Photographs of what stands still have one moment, and lie in the order in which they were taken.
+    #[test]
+    fn a_sample_of_one_moment_is_spread_over_all_of_it() {
+        for (all, count, widest) in [(200, 20, 18), (100, 20, 9), (300, 4, 120)] {
+            let sample = views(all, 1).sample(count);
+            let mut places: Vec<usize> = sample
+                .photographs()
+                .iter()
+                .map(|view| view.name[..view.name.len() - 2].parse().unwrap())
+                .collect();
+            places.extend([0, all]);
+            places.sort_unstable();
+            let gap = places.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap();
+            assert!(places.len() == count + 2 && gap <= widest, "{count} of {all}: {places:?}");
         }
     }
 
@@ -313,9 +339,9 @@ mod tests {
     fn a_sample_of_a_rig_with_gaps_is_of_different_photographs() {
         let full = views(3, 6);
         let by_camera = (0..3).flat_map(|place| (0..6).map(move |frame| 3 * frame + place));
-        let kept = by_camera.filter(|at| ![4, 5, 8].contains(at));
+        let present = by_camera.filter(|at| ![4, 5, 8].contains(at));
         let gaps: Views<Training> =
-            Views::new(kept.map(|at| full.photographs()[at].clone()).collect()).unwrap();
+            Views::new(present.map(|at| full.photographs()[at].clone()).collect()).unwrap();
         for count in 0..=15 {
             let sample = gaps.sample(count);
             let names = sample.photographs().iter().map(|view| view.name.as_str());

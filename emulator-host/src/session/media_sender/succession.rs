@@ -9,9 +9,9 @@ use crate::{
 };
 
 impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
-    /// Goes on from where `before` was: what it has learnt of the path's losses and round trips, how often each
-    /// packet was sent, and where the viewer is. `index` says which packet of this graph is one of that of
-    /// `before`. Numbers of sendings go on as well; [`Self::look`] is to be called after it.
+    /// Goes on from where `before` was: what it has learnt of the path's losses and round trips, how often
+    /// each packet was sent, and where the viewer is. `index` says which packet of this graph is one of that
+    /// of `before`. Numbers of sendings go on as well; [`Self::look`] is to be called after it.
     pub fn go_on_from(&mut self, before: Self, index: impl Fn(PacketIndex) -> Option<PacketIndex>) {
         for (at, &times) in before.sent_times.iter().enumerate().filter(|(_, times)| **times > 0) {
             let Some(packet) = index(PacketIndex(at as u32)) else { continue };
