@@ -134,9 +134,9 @@ impl<Split> Views<Split> {
         Self { photographs, split: PhantomData }
     }
 
-    /// Indices of `count` of them, evenly spread over moments and over the places in a moment, which are those
-    /// of cameras where each takes all moments. Each next place is far from those before, in a part of the
-    /// sample as in all of it: with equal steps, it might be of few.
+    /// Indices of `count` of them, evenly spread over moments and over the places in a moment, which are
+    /// those of cameras where each takes all moments. Each next place is far from those before, in a part of
+    /// the sample as in all of it: with equal steps, it might be of few.
     fn of_moments(&self, count: usize) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.photographs.len()).collect();
         order.sort_by(|&a, &b| self.photographs[a].time.total_cmp(&self.photographs[b].time));
