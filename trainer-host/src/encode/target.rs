@@ -43,8 +43,7 @@ const CLOSE: f64 = 0.02;
 /// As is a PSNR within this many dB above it.
 const CLOSE_DB: f64 = 0.3;
 
-/// Excess where nothing can be written that is right: more than that of any stream, be it dB or the logarithm
-/// of a ratio.
+/// Excess where nothing can be written that is right: above that of any stream, in dB or as a logarithm.
 const NOT_WRITTEN: f64 = 100.0;
 
 /// Encodes the scene of `analysis` at the coarseness that comes closest to `target` without missing it.
