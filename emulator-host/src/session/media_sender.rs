@@ -7,11 +7,7 @@
 
 mod succession;
 
-use std::{
-    collections::{BTreeSet, VecDeque},
-    fmt,
-    ops::Deref,
-};
+use std::{collections::VecDeque, fmt, ops::Deref};
 
 use codec_core::internals::wire::receipt::ViewerPose;
 
@@ -94,7 +90,9 @@ pub struct MediaSender<G, S> {
     last_number: Vec<u64>,
     again: VecDeque<PacketIndex>,
     parity: ParityQueue,
-    /// Level-0 bytes of frame 0 that were never sent and are not known to be there.
+    /// Level-0 bytes of frame 0 that were never sent and are not known to be there, at the start those of a
+    /// packet once for each of its groups. So playout is expected late rather than early: losses and the
+    /// link's own queue also delay it, and a sender that expects it too early gives up what would be in time.
     first_base_bytes: u64,
     view_state: ViewState,
     known_start: Option<Nanos>,
@@ -122,10 +120,9 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// Nothing sent; `path` is what the transport knows at `now`.
     pub fn new(graph: G, scheduler: S, rules: SendingRules, path: PathFacts, now: Nanos) -> Self {
         let first = graph.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
-        // A packet carries several groups.
-        let first_base: BTreeSet<PacketIndex> = first.flat_map(|group| &group.packets).copied().collect();
+        let first_base = first.flat_map(|group| &group.packets);
         let first_base_bytes =
-            first_base.iter().map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes)).sum();
+            first_base.map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes)).sum();
         let packets = graph.packets().len();
         let mut sender = Self {
             service: scheduler.service(),

@@ -68,24 +68,6 @@ fn sender_of(graph: &Arc<PacketGraph>) -> MediaSender<Arc<PacketGraph>, Deadline
     MediaSender::new(graph.clone(), scheduler, rules, PathFacts::unknown(1200), Nanos::ZERO)
 }
 
-/// A packet of two groups of the first base passes once.
-#[test]
-fn nothing_of_the_first_base_is_left_once_all_of_it_is_there() {
-    let mut parts = Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap().parts().clone();
-    let is_first_base =
-        |group: &usize| parts.groups[*group].level() == 0 && parts.groups[*group].first_frame == 0;
-    let first_base: Vec<usize> = (0..parts.groups.len()).filter(is_first_base).collect();
-    let (one, other) = (first_base[0], first_base[1]);
-    let packet = parts.groups[one].packets[0];
-    parts.groups[other].packets.push(packet);
-    parts.packets[packet.at()].groups.push(GroupIndex(other as u32));
-    let graph = Arc::new(PacketGraph::new(parts).unwrap());
-    let mut sender = sender_of(&graph);
-    assert!(sender.first_base_bytes > 0);
-    (0..graph.packets().len()).for_each(|packet| sender.on_acked(PacketIndex(packet as u32)));
-    assert_eq!(sender.first_base_bytes, 0);
-}
-
 /// What a sender has learnt of the path is not forgotten when the stream grows.
 #[test]
 fn a_sender_that_follows_another_knows_what_that_one_knew() {
