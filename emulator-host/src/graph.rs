@@ -20,7 +20,10 @@ mod place;
 mod selection;
 mod synthetic;
 
-use std::sync::{Arc, OnceLock};
+use std::{
+    collections::BTreeSet,
+    sync::{Arc, OnceLock},
+};
 
 use codec_core::internals::ids::{Group as GroupId, PacketId, Span};
 
@@ -300,6 +303,14 @@ impl PacketGraph {
     /// All groups.
     pub fn groups(&self) -> &[Group] {
         &self.parts.groups
+    }
+
+    /// Bytes on the wire of the packets that carry the base of frame 0, each counted once whatever groups it
+    /// carries, with `overhead` bytes more per packet.
+    pub fn first_base_bytes(&self, overhead: u64) -> u64 {
+        let groups = self.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
+        let packets: BTreeSet<PacketIndex> = groups.flat_map(|group| &group.packets).copied().collect();
+        packets.iter().map(|&packet| u64::from(self.wire_bytes(packet)) + overhead).sum()
     }
 
     /// All repair sets.

@@ -6,10 +6,15 @@ use codec_core::{
     internals::{closure::Arrived, ids::Level},
 };
 use render_host::Camera;
-use trainer_host::{Instant, Scene, scene::Up, stream::Player, viewpoint::Framing};
+use trainer_host::{
+    Instant, Scene,
+    scene::Up,
+    stream::{Player, decoded::Snapshot},
+    viewpoint::Framing,
+};
 
 use super::{import, is_stream, read_stream};
-use crate::{args::SceneArgs, figures::counted};
+use crate::args::SceneArgs;
 
 /// Frames to look at: of a scene, or decoded one by one from a stream.
 pub enum Frames {
@@ -50,15 +55,7 @@ impl LeftOut {
 
     /// What was left out of `frames` and why, for people.
     pub(crate) fn sentence(&self, frames: &Frames) -> Option<String> {
-        let (left_out, of) = self.most;
-        let which = if frames.has_all_bases() {
-            "Gaussians that are fully transparent at this quality are"
-        } else {
-            "Gaussians of which nothing has arrived are"
-        };
-        let whence = counted(self.frames, "frame");
-        let doubt = "rows of different frames need not be the same Gaussians";
-        (left_out > 0).then(|| format!("{which} left out of {whence}, up to {left_out} of {of}: {doubt}"))
+        Snapshot::left_out_in_words(self.frames, self.most, frames.has_all_bases())
     }
 }
 

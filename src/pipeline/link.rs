@@ -1,12 +1,10 @@
 //! Builds the link of the command line: a capacity trace, scaled to the stream, with its delay, loss and
 //! queue.
 
-use std::collections::BTreeSet;
-
 use anyhow::{Context, Result, bail, ensure};
 use dgs_quic::socket::Impairment;
 use emulator_host::{
-    Bytes, ControllerKind, Nanos, PacketGraph, PacketIndex, Rate, SessionConfig, Trace,
+    Bytes, ControllerKind, Nanos, PacketGraph, Rate, SessionConfig, Trace,
     link::{Capacity, LossModel, PathConfig, QueueLimit},
     trace::{self, Replay},
 };
@@ -205,11 +203,7 @@ fn scale_for(trace: &Trace, graph: &PacketGraph, load: f64) -> Result<f64> {
 /// What a link that follows `trace` carries while the clip of `graph` plays, which starts once the manifest
 /// and the base of its first frame have passed, or after the wait of a session.
 fn playout_capacity(trace: &Trace, graph: &PacketGraph) -> Bytes {
-    let first = graph.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
-    // A packet carries several groups.
-    let packets: BTreeSet<PacketIndex> = first.flat_map(|group| &group.packets).copied().collect();
-    let base: u64 = packets.iter().map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes)).sum();
-    let opening = Bytes(base + u64::from(graph.manifest_bytes()));
+    let opening = Bytes(graph.first_base_bytes(0) + u64::from(graph.manifest_bytes()));
     let (mut early, mut late) = (Nanos::ZERO, SessionConfig::default().startup.max_wait);
     while late - early > Nanos::from_ms(1) {
         let middle = Nanos((early.0 + late.0) / 2);

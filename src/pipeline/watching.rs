@@ -27,13 +27,14 @@ impl Watching {
         Self::within(typed, view, up, &mut || frames.framing())
     }
 
-    /// The viewer of a file of cameras, which is where it is whatever it looks at; `None` of others. What is
-    /// wrong with them before any scene is refused: asked before the work that makes one.
+    /// The viewer of a file of cameras (`--cameras`), which does not depend on the scene; `None` where
+    /// cameras are placed around it. Options that no scene makes valid are refused, so that this can be
+    /// called before the work that makes one.
     ///
     /// # Errors
     /// As [`Watching::of`].
     pub(crate) fn of_file(typed: &CameraArgs, view: &ViewArgs) -> Result<Option<Self>> {
-        // What an eye without a target looks at is in the middle of the scene.
+        // Without --target, --eye looks at the middle of the scene, which is not known yet.
         if typed.eye.is_some() && typed.target.is_none() {
             return Ok(None);
         }

@@ -283,7 +283,7 @@ fn shares(parts: &GraphParts, closure: &[u32]) -> bool {
 mod tests {
     use codec_core::internals::ids::{ClusterId, Group as GroupId, Level, Span, WindowId};
 
-    use super::super::{ClosureRule, Group, Packet, RepairSet};
+    use super::super::{ClosureRule, Group, Packet, RepairSet, Synthetic};
     use super::*;
     use crate::clock::Nanos;
 
@@ -330,6 +330,23 @@ mod tests {
             manifest_bytes: 1000,
             profile: ClosureRule::AllOrNothing,
         }
+    }
+
+    /// A packet of two groups passes once.
+    #[test]
+    fn the_first_base_has_each_packet_once() {
+        let graph = Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap();
+        let bytes = graph.first_base_bytes(0);
+        let mut parts = graph.parts().clone();
+        let is_first_base = |at: &usize| parts.groups[*at].level() == 0 && parts.groups[*at].first_frame == 0;
+        let groups: Vec<usize> = (0..parts.groups.len()).filter(is_first_base).collect();
+        let packet = parts.groups[groups[0]].packets[0];
+        parts.groups[groups[1]].packets.push(packet);
+        parts.packets[packet.at()].groups.push(GroupIndex(groups[1] as u32));
+        let shared = PacketGraph::new(parts).unwrap();
+        assert!(bytes > 0 && shared.first_base_bytes(0) == bytes);
+        let packets = (shared.first_base_bytes(58) - bytes) / 58;
+        assert!(packets >= groups.len() as u64, "{packets}");
     }
 
     #[test]

@@ -170,9 +170,9 @@ fn without_pixels(args: &Train, dataset: &Dataset) -> Vec<String> {
         ("for testing", dataset.test.photographs(), "figures are without them"),
     ];
     let note = |(what, views, so): (&str, &[PosedPhotograph], &str)| {
-        let counts =
+        let is_left_out =
             |view: &&PosedPhotograph| view.counted.as_ref().is_some_and(|mask| !mask.values().contains(&255));
-        let none = views.iter().filter(counts).count();
+        let none = views.iter().filter(is_left_out).count();
         (none > 0).then(|| {
             let (input, all) = (&args.input, views.len());
             format!("{input}: masks leave no pixel of {none} of {all} photographs {what}; {so}")

@@ -6,7 +6,10 @@ use codec_core::internals::{closure::Arrived, ids::Level};
 use pyo3::prelude::*;
 use trainer_host::{
     Instant, Scene,
-    stream::{Stream, decoded},
+    stream::{
+        Stream,
+        decoded::{self, Snapshot},
+    },
 };
 
 use crate::error::{damaged, of_file, refused};
@@ -47,7 +50,7 @@ pub fn received_scene(path: &Path) -> PyResult<(Scene, Vec<String>)> {
         scene.notes.push(said.clone());
         warnings.push(said);
     }
-    if let Some(said) = left_out.sentence(has_all_bases) {
+    if let Some(said) = Snapshot::left_out_in_words(left_out.frames, left_out.most, has_all_bases) {
         scene.notes.push(said.clone());
         // What is transparent has arrived, and nothing is amiss.
         warnings.extend((!has_all_bases).then_some(said));
@@ -71,18 +74,5 @@ impl LeftOut {
         if left_out > self.most.0 {
             self.most = (left_out, of);
         }
-    }
-
-    /// What is left out and why, for people; nothing where all is there.
-    fn sentence(&self, has_all_bases: bool) -> Option<String> {
-        let (left_out, of) = self.most;
-        let which = if has_all_bases {
-            "Gaussians that are fully transparent at this quality are"
-        } else {
-            "Gaussians of which nothing has arrived are"
-        };
-        let frames = if self.frames == 1 { "1 frame".to_owned() } else { format!("{} frames", self.frames) };
-        let doubt = "rows of different frames need not be the same Gaussians";
-        (left_out > 0).then(|| format!("{which} left out of {frames}, up to {left_out} of {of}: {doubt}"))
     }
 }

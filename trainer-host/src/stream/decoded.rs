@@ -14,6 +14,27 @@ pub struct Snapshot {
     pub rows: Vec<u32>,
 }
 
+impl Snapshot {
+    /// That frames, so many, lack Gaussians, the one that lacks most `left_out` of its `of`, and why, for
+    /// people: nothing of them has arrived, or, where all bases have (`has_all_bases`), they are transparent.
+    /// `None` where none is left out.
+    pub fn left_out_in_words(
+        frames: usize,
+        (left_out, of): (usize, usize),
+        has_all_bases: bool,
+    ) -> Option<String> {
+        let which = if has_all_bases {
+            "Gaussians that are fully transparent at this quality are"
+        } else {
+            "Gaussians of which nothing has arrived are"
+        };
+        let plural = if frames == 1 { "" } else { "s" };
+        let doubt = "rows of different frames need not be the same Gaussians";
+        (left_out > 0)
+            .then(|| format!("{which} left out of {frames} frame{plural}, up to {left_out} of {of}: {doubt}"))
+    }
+}
+
 /// What is drawn of a decoded frame.
 ///
 /// # Errors

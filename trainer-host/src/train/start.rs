@@ -132,7 +132,8 @@ pub(super) fn check_seen(dataset: &Dataset, extent: &Extent, begun: &Instant) ->
     let farthest = x.abs().max(y.abs()).max(z.abs()) / extent.half_side;
     if farthest > FARTHEST {
         let found = format!(
-            "({x:.4}, {y:.4}, {z:.4}), {farthest:.0} times half the side of what cameras see from the origin"
+            "({x:.4}, {y:.4}, {z:.4}), {farthest:.0} times as far from the origin as half the side of what \
+             cameras see"
         );
         let allowed = format!("up to {FARTHEST:.0} times (positions have 24 bits)");
         return refused("the middle of the scene", found, allowed);
@@ -153,8 +154,8 @@ pub(super) fn check_seen(dataset: &Dataset, extent: &Extent, begun: &Instant) ->
 
 /// Share of a start that photographs must show.
 const LEAST_SEEN: f64 = 0.02;
-/// Distance of the middle of a scene from the origin, in half its side: positions are coarser than a
-/// thousandth of that farther away.
+/// Farthest that the middle of a scene may be from the origin, in halves of its side: there, two f32
+/// positions next to each other are about a thousandth of that apart.
 const FARTHEST: f64 = 1e4;
 /// What the numbers of a start may be.
 const FINITE: &str = "a list of finite numbers";

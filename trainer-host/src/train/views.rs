@@ -120,13 +120,13 @@ impl<Split> Views<Split> {
         self.photographs.is_empty()
     }
 
-    /// At most `count` of them, evenly spread: over their order, or, where moments have several photographs
-    /// each, over moments and the places that photographs have among those of their moment.
+    /// At most `count` of them, evenly spread: over their order, or, where several photographs have the same
+    /// time, over times and cameras.
     #[must_use]
     pub fn sample(&self, count: usize) -> Self {
         let (all, count) = (self.photographs.len(), count.min(self.photographs.len()));
         let chosen = if 2 * self.instants() <= all {
-            self.of_moments(count)
+            self.over_times(count)
         } else {
             (0..count).map(|k| k * all / count).collect()
         };
@@ -134,24 +134,24 @@ impl<Split> Views<Split> {
         Self { photographs, split: PhantomData }
     }
 
-    /// Indices of `count` of them, evenly spread over moments and over the places in a moment, which are
-    /// those of cameras where each takes all moments. Each next place is far from those before, in a part of
-    /// the sample as in all of it: with equal steps, it might be of few.
-    fn of_moments(&self, count: usize) -> Vec<usize> {
+    /// Indices of `count` of them, evenly spread over times and over cameras: the place of a photograph among
+    /// those of its time tells cameras apart where each has one of every time. Each next camera is far from
+    /// those before, also in every fifth of the sample: equal steps could meet one camera again and again.
+    fn over_times(&self, count: usize) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.photographs.len()).collect();
         order.sort_by(|&a, &b| self.photographs[a].time.total_cmp(&self.photographs[b].time));
         let same = |&a: &usize, &b: &usize| self.photographs[a].time == self.photographs[b].time;
-        let mut moments: Vec<Vec<(usize, usize)>> =
-            order.chunk_by(same).map(|moment| moment.iter().copied().enumerate().collect()).collect();
-        let places = far_apart(moments.iter().map(Vec::len).max().unwrap_or(0));
+        let mut left: Vec<Vec<(usize, usize)>> =
+            order.chunk_by(same).map(|views| views.iter().copied().enumerate().collect()).collect();
+        let places = far_apart(left.iter().map(Vec::len).max().unwrap_or(0));
         let mut chosen = Vec::with_capacity(count);
         for k in 0..count {
-            let first = k * moments.len() / count;
-            let left = (first..moments.len()).chain(0..first).find(|&moment| !moments[moment].is_empty());
-            let Some(moment) = left.map(|moment| &mut moments[moment]) else { break };
+            let first = k * left.len() / count;
+            let time = (first..left.len()).chain(0..first).find(|&time| !left[time].is_empty());
+            let Some(views) = time.map(|time| &mut left[time]) else { break };
             let wanted = places[k % places.len()];
-            let at = moment.iter().position(|&(place, _)| place >= wanted).unwrap_or(0);
-            chosen.push(moment.remove(at).1);
+            let at = views.iter().position(|&(place, _)| place >= wanted).unwrap_or(0);
+            chosen.push(views.remove(at).1);
         }
         chosen.sort_unstable();
         chosen
@@ -281,7 +281,7 @@ mod tests {
 
     use super::*;
 
-    /// Views of `cameras` at each of `frames` moments, a moment after the other, named by both.
+    /// Views of `cameras` at each of `frames` times, one time after the other, named by both.
     fn views(cameras: usize, frames: usize) -> Views<Training> {
         let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 0.7, 1, 1).unwrap();
         let view = |frame: usize, place: usize| PosedPhotograph {
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_is_of_many_cameras_and_moments() {
+    fn a_sample_is_of_many_cameras_and_times() {
         for (count, frames) in [20, 24, 64].into_iter().flat_map(|count| (20..=128).map(move |f| (count, f)))
         {
             let sample = views(24, frames).sample(count);
@@ -309,17 +309,17 @@ mod tests {
                 sample.photographs().iter().map(|view| view.name.split_once(' ').unwrap()).collect();
             assert_eq!(names.len(), count);
             let cameras = different(names.iter().map(|(place, _)| *place));
-            let moments = different(names.iter().map(|(_, frame)| *frame));
-            assert_eq!((cameras, moments), (count.min(24), count.min(frames)), "{count} of {frames} frames");
+            let times = different(names.iter().map(|(_, frame)| *frame));
+            assert_eq!((cameras, times), (count.min(24), count.min(frames)), "{count} of {frames} frames");
             // Every fifth of them is a sample itself.
             let fifth = different(names.iter().step_by(5).map(|(place, _)| *place));
             assert!(4 * fifth >= 3 * count.div_ceil(5), "{count} of {frames} frames: {fifth} cameras");
         }
     }
 
-    /// Photographs of what stands still have one moment, and lie in the order in which they were taken.
+    /// Photographs of what stands still have one time, and lie in the order in which they were taken.
     #[test]
-    fn a_sample_of_one_moment_is_spread_over_all_of_it() {
+    fn a_sample_of_one_time_is_spread_over_all_of_it() {
         for (all, count, widest) in [(200, 20, 18), (100, 20, 9), (300, 4, 120)] {
             let sample = views(all, 1).sample(count);
             let mut places: Vec<usize> = sample
@@ -334,7 +334,7 @@ mod tests {
         }
     }
 
-    /// Moments of which some have few photographs, cameras one after the other: none comes twice.
+    /// Some times have few photographs, and cameras come one after the other: none comes twice.
     #[test]
     fn a_sample_of_a_rig_with_gaps_is_of_different_photographs() {
         let full = views(3, 6);

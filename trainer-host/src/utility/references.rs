@@ -107,8 +107,9 @@ impl View {
 
 impl ReferencePhotographs {
     /// The photographs of `views` over `background`, each reduced by a whole number so that neither side is
-    /// longer than `longest_side` pixels. Where that leaves a rest, it is cut off at the right and the
-    /// bottom. Of each span, up to `per_span` are used, and twice as many for gains: at least 1.
+    /// longer than `longest_side` pixels, unless the other had less than a pixel then. Where that leaves a
+    /// rest, it is cut off at the right and the bottom. Of each span, up to `per_span` are used, and twice as
+    /// many for gains: at least 1.
     ///
     /// # Errors
     /// No photographs, or one that cannot be reduced.
@@ -287,8 +288,8 @@ impl SourceRenders<'_> {
     }
 }
 
-/// What sides of `size` are divided by so that none is longer than `longest`, pixels: what divides both,
-/// unless that leaves less than half of what is allowed.
+/// What sides of `size` are divided by so that none is longer than `longest`, pixels, as far as the shorter
+/// one allows: what divides both, unless that leaves less than half of what is allowed.
 fn reduction((width, height): (u32, u32), longest: u32) -> u32 {
     let least = width.max(height).div_ceil(longest.max(1)).clamp(1, width.min(height).max(1));
     let divides = |by: &u32| width.is_multiple_of(*by) && height.is_multiple_of(*by);

@@ -42,18 +42,18 @@ impl RateEstimate {
         if energy < self.d {
             return self.of_loss(energy);
         }
-        let (mut cost, mut dearer) = (0.0, Vec::new());
+        let (mut cost, mut savings) = (0.0, Vec::new());
         for v in vectors {
             let c = dot(row, v);
             let (lost, coded) = (self.of_loss(c * c), self.of(c));
             cost += lost.min(coded);
             if coded < lost {
-                dearer.push(lost - coded);
+                savings.push(lost - coded);
             }
         }
-        // What does not fit is left out after all.
-        dearer.sort_by(|a, b| b.total_cmp(a));
-        cost + dearer.get(most..).unwrap_or_default().iter().sum::<f64>()
+        // Beyond `most`, coefficients that it would save to code are left out after all.
+        savings.sort_by(|a, b| b.total_cmp(a));
+        cost + savings.get(most..).unwrap_or_default().iter().sum::<f64>()
     }
 }
 

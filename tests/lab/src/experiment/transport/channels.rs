@@ -114,13 +114,7 @@ fn constant() -> Result<Trace> {
 
 /// Bytes that must be there before playout: the manifest and the base of frame 0, with a fifth to spare.
 fn opening_bytes(graph: &PacketGraph) -> f64 {
-    let groups = graph.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
-    let mut packets: Vec<_> = groups.flat_map(|group| &group.packets).collect();
-    packets.sort_unstable();
-    packets.dedup();
-    let base: u64 =
-        packets.iter().map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes) + 58).sum();
-    1.2 * (base + u64::from(graph.manifest_bytes())) as f64
+    1.2 * (graph.first_base_bytes(58) + u64::from(graph.manifest_bytes())) as f64
 }
 
 fn clip(graph: &PacketGraph) -> Nanos {
