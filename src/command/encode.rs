@@ -48,7 +48,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         EncodeOptions { device, target_views, ..pipeline::encode_options(&args.codec, Protection::NONE) };
     let coded = Coded::of(args, &loaded.scene, &options, quiet)?;
     loaded.scene.notes.extend(cluster_size_note(args, &coded.encoded.report));
-    loaded.scene.notes.extend(far_from_size_note(&coded.encoded.report));
+    loaded.scene.notes.extend(beyond_size_note(&coded.encoded.report));
     let stream = &coded.encoded.stream;
     if let Some(path) = &args.decisions_out {
         files::write(path, serde_json::to_string(&coded.encoded.decisions)?.as_bytes())?;
@@ -297,13 +297,15 @@ fn cluster_size_note(args: &Encode, report: &Report) -> Option<String> {
 
 /// Share of a target size below which a stream is not close to it.
 const CLOSE: f64 = 0.98;
+/// Coarseness below which a search for a size goes only for want of bytes.
+const FINE: f32 = 1.0 / 16.0;
 
-/// What is said of a target size that no coarseness that was tried comes close to.
-fn far_from_size_note(report: &Report) -> Option<String> {
+/// What is said of a target size that is more than the scene takes at any coarseness that was tried.
+fn beyond_size_note(report: &Report) -> Option<String> {
     let reached = report.reached?;
     let is_size = !matches!(reached.target, Target::PsnrDb(_));
     let is_less = reached.value < CLOSE * reached.target.value();
-    (is_size && is_less).then(|| {
+    (is_size && is_less && reached.coarseness < FINE).then(|| {
         format!(
             "{} is {}: coarseness {}, the closest that was tried, comes to {}",
             reached.target.name(),
