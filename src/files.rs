@@ -216,8 +216,7 @@ impl PendingFile {
         }
         // A link stays a link: what it leads to is replaced.
         let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-        let file = temporary(&target)?;
-        let unfinished = Unfinished::at(file.path());
+        let (file, unfinished) = temporary(&target)?;
         Ok(Self { file, unfinished, target })
     }
 
@@ -249,7 +248,7 @@ impl PendingFile {
 }
 
 /// A temporary file beside `path`.
-fn temporary(path: &Path) -> Result<NamedTempFile> {
+fn temporary(path: &Path) -> Result<(NamedTempFile, Unfinished)> {
     let folder = folder_of(path);
     check_folder(folder)?;
     let (prefix, suffix) = affixes(path);
@@ -259,9 +258,9 @@ fn temporary(path: &Path) -> Result<NamedTempFile> {
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let failed = || format!("{}: cannot write in this folder", folder.display());
-    let file = builder.tempfile_in(folder).with_context(failed)?;
+    let (file, unfinished) = Unfinished::make(|| builder.tempfile_in(folder)).with_context(failed)?;
     leftovers::hold(file.as_file());
-    Ok(file)
+    Ok((file, unfinished))
 }
 
 /// What temporary names beside `path` start and end with.

@@ -163,7 +163,8 @@ fn an_interruption_leaves_what_was_there_before_and_nothing_else() {
     let at = folder.path();
     ok(at, &["encode", "synth:figure:2000:60", "--out", "a.dgs", "--pictures", "2"]);
     fs::write(at.join("a.gif"), b"before").unwrap();
-    for out in ["a.gif", "frames"] {
+    // At once, and while frames are being added.
+    for (out, after_ms) in [("a.gif", 0), ("frames", 0), ("frames", 20), ("frames", 80), ("a.gif", 40)] {
         let mut running = Command::new(DGS)
             .current_dir(at)
             .args(["render", "a.dgs", "-o", out, "--width", "1000", "--height", "1000", "--json"])
@@ -173,12 +174,13 @@ fn an_interruption_leaves_what_was_there_before_and_nothing_else() {
         let is_pending = || names(at).iter().any(|name| name.ends_with(".part"));
         while !is_pending() {
             assert!(running.try_wait().unwrap().is_none(), "{out} was finished before it was interrupted");
-            std::thread::sleep(std::time::Duration::from_millis(5));
+            std::thread::sleep(std::time::Duration::from_millis(1));
         }
+        std::thread::sleep(std::time::Duration::from_millis(after_ms));
         let id = running.id().to_string();
         assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
-        assert_eq!(running.wait().unwrap().code(), Some(130), "{out}");
-        assert_eq!(names(at), ["a.dgs", "a.gif"], "{out}");
+        assert_eq!(running.wait().unwrap().code(), Some(130), "{out} after {after_ms} ms");
+        assert_eq!(names(at), ["a.dgs", "a.gif"], "{out} after {after_ms} ms");
     }
     assert_eq!(fs::read(at.join("a.gif")).unwrap(), b"before");
 }

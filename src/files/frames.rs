@@ -21,6 +21,7 @@ pub(super) fn check_can_make(target: &Path) -> Result<()> {
     let existing = ancestors.map(or_here).find(|folder| folder.exists()).unwrap_or(Path::new("."));
     check_folder(existing)?;
     let failed = || format!("{}: cannot write in this folder", existing.display());
+    let _uninterrupted = leftovers::uninterrupted();
     tempfile::Builder::new().prefix(&affixes(target).0).tempfile_in(existing).with_context(failed)?;
     Ok(())
 }
@@ -64,12 +65,11 @@ impl FrameFolder {
         builder.prefix(&prefix).suffix(suffix);
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
-        let temporary = builder.tempdir_in(folder);
-        let temporary =
-            temporary.with_context(|| format!("{}: cannot write in this folder", folder.display()))?;
+        let made = Unfinished::make(|| builder.tempdir_in(folder));
+        let (temporary, _unfinished) =
+            made.with_context(|| format!("{}: cannot write in this folder", folder.display()))?;
         let hold = leftovers::hold_folder(temporary.path());
         let index = SequenceIndex::default();
-        let _unfinished = Unfinished::at(temporary.path());
         let frames = Self { target: target.to_owned(), temporary, _unfinished, _hold: hold, index };
         // Until all frames are there, the index says that some are missing.
         frames.write_index()?;
@@ -115,6 +115,8 @@ impl FrameFolder {
         sync_folder(self.temporary.path()).with_context(failed)?;
         check_unused(&self.target, overwrite)?;
         let folder = folder_of(&self.target);
+        // Between its old frames and its new ones the folder would have none.
+        let _uninterrupted = leftovers::uninterrupted();
         let replaced = if self.target.exists() {
             let aside = tempfile::Builder::new().prefix(&affixes(&self.target).0).tempdir_in(folder);
             let aside = aside.with_context(failed)?;
@@ -134,7 +136,10 @@ impl FrameFolder {
     fn put(&self, name: &str, bytes: &[u8]) -> Result<()> {
         let path = self.temporary.path().join(name);
         let put = || -> io::Result<()> {
+            // A folder is not removed while a file is added: it would stay for that.
+            let uninterrupted = leftovers::uninterrupted();
             let mut file = fs::File::create(&path)?;
+            drop(uninterrupted);
             file.write_all(bytes)?;
             file.sync_all()
         };

@@ -20,7 +20,8 @@ const SETTLED: Duration = Duration::from_secs(2);
 /// Random letters and digits between the ends of a temporary name.
 const RANDOM: usize = 6;
 
-/// What this process has under temporary names now.
+/// What this process has under temporary names now. Whoever makes such a name holds this meanwhile, so that
+/// [`remove_unfinished`] finds it.
 static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
 fn unfinished() -> MutexGuard<'static, BTreeSet<PathBuf>> {
@@ -33,10 +34,23 @@ fn unfinished() -> MutexGuard<'static, BTreeSet<PathBuf>> {
 pub(super) struct Unfinished(PathBuf);
 
 impl Unfinished {
-    pub(super) fn at(path: &Path) -> Self {
-        unfinished().insert(path.to_owned());
-        Self(path.to_owned())
+    /// What `make` makes under a temporary name, and that name's use.
+    ///
+    /// # Errors
+    /// Those of `make`.
+    pub(super) fn make<T: AsRef<Path>>(make: impl FnOnce() -> io::Result<T>) -> io::Result<(T, Self)> {
+        let mut unfinished = unfinished();
+        let made = make()?;
+        let path = made.as_ref().to_owned();
+        unfinished.insert(path.clone());
+        Ok((made, Self(path)))
     }
+}
+
+/// As long as this lives nobody interrupts the process; once somebody has, whoever asks for it waits for the
+/// end of the process. For steps of which no half may stay.
+pub(super) fn uninterrupted() -> MutexGuard<'static, impl Sized> {
+    unfinished()
 }
 
 impl Drop for Unfinished {
@@ -94,21 +108,18 @@ fn end(child: &mut Child) {
 }
 
 /// Removes what this process has under temporary names, and ends the programs that write there. For the last
-/// moment of a process: what is being written then fails.
+/// moment of a process: who then makes or gives up a temporary name waits for its end.
 pub(crate) fn remove_unfinished() {
     let mut writers = writers();
     writers.values_mut().for_each(end);
     // Held to the end: nobody finds a program ended and takes that for its failure.
     std::mem::forget(writers);
-    for path in unfinished().iter() {
-        // Another thread may add to a folder while it is removed.
-        for _ in 0..3 {
-            let removed = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
-            if removed.is_ok() || !path.exists() {
-                break;
-            }
-        }
+    let unfinished = unfinished();
+    for path in unfinished.iter() {
+        // What is not there any more was given its name; what cannot be removed, a later write removes.
+        let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
     }
+    std::mem::forget(unfinished);
 }
 
 /// Says that this process is at work on `file`, until it is closed.
@@ -225,7 +236,7 @@ mod tests {
     fn a_later_write_removes_what_an_earlier_one_left() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.dgs");
-        let left = super::super::temporary(&path).unwrap().keep().unwrap().1;
+        let left = super::super::temporary(&path).unwrap().0.keep().unwrap().1;
         age(&left);
         super::super::write(&path, b"whole").unwrap();
         let names: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
