@@ -113,7 +113,7 @@ pub enum Verb {
     View(Box<View>),
     /// The whole pipeline with a report: four schedulers side by side over one link.
     Demo(Demo),
-    /// Measure: every figure this project quotes.
+    /// Measure: the figures this project quotes.
     Bench(Bench),
     /// Print completions of commands for a shell.
     Completions(Completions),
@@ -424,4 +424,12 @@ pub struct Bench {
     /// the last also finds them in the data folder (lpips/alexnet.safetensors).
     #[arg(long, value_name = "FILE")]
     pub lpips: Option<PathBuf>,
+    /// How many states per loss `erasure` measures with FLIP and LPIPS, which take longest: 1 to 128
+    /// [default: 32].
+    #[arg(long, value_name = "STATES", value_parser = whole::<u16>(1..=128, "states"))]
+    pub perceptual_states: Option<u16>,
+    /// Of `workloads` and `erasure`, which take hours, only streams, or scenes and their parity, whose names
+    /// hold this, for example cloth, sheet or bouncingballs.full.
+    #[arg(long, value_name = "NAME")]
+    pub only: Option<String>,
 }

@@ -272,8 +272,14 @@ fn bench_runs_the_laboratory_beside_it() {
 
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
+    // Written by another process: what is open for writing does not start, and what this process writes is
+    // open for a moment in each child that another test starts meanwhile.
+    let copy = |from: &Path, to: &Path| {
+        let copied = Command::new("cp").args([from, to]).status().unwrap();
+        assert!(copied.success());
+    };
     let installed = at.join("dgs");
-    std::fs::copy(env!("CARGO_BIN_EXE_dgs"), &installed).unwrap();
+    copy(Path::new(env!("CARGO_BIN_EXE_dgs")), &installed);
     let bench = |args: &[&str]| Command::new(&installed).current_dir(at).args(args).output().unwrap();
 
     let output = bench(&["bench", "rate"]);
@@ -281,12 +287,16 @@ fn bench_runs_the_laboratory_beside_it() {
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("dgs-lab") && text.contains("cargo run"), "{text}");
 
-    let laboratory = at.join("dgs-lab");
-    std::fs::write(&laboratory, "#!/bin/sh\necho \"$@\"\nexit 7\n").unwrap();
-    std::fs::set_permissions(&laboratory, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let script = at.join("script");
+    std::fs::write(&script, "#!/bin/sh\necho \"$@\"\nexit 7\n").unwrap();
+    std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o755)).unwrap();
+    copy(&script, &at.join("dgs-lab"));
     let output = bench(&["--json", "bench", "rate", "--quick", "--data", "d", "--out", "o"]);
     assert_eq!(output.status.code(), Some(7));
     assert_eq!(String::from_utf8_lossy(&output.stdout), "--quick --json --data d --out o -- rate\n");
+    let output = bench(&["bench", "erasure", "--only", "sheet", "--perceptual-states", "8", "--lpips", "w"]);
+    let typed = "--lpips w --perceptual-states 8 --only=sheet -- erasure\n";
+    assert_eq!(String::from_utf8_lossy(&output.stdout), typed);
     assert_eq!(String::from_utf8_lossy(&bench(&["bench", "--list"]).stdout), "--list\n");
 }
 
@@ -322,7 +332,9 @@ fn what_is_served_is_played() {
 
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    ok(at, &["encode", "synth:figure:1000:12", "--out", "a b.dgs", "--pictures", "2"]);
+    // Slow, so that a busy machine has two seconds until the last frame, which must be complete.
+    let encode = ["encode", "synth:figure:1000:12", "--fps", "5", "--out", "a b.dgs", "--pictures", "2"];
+    ok(at, &encode);
     let mut server = Running(
         Command::new(env!("CARGO_BIN_EXE_dgs"))
             .current_dir(at)

@@ -14,7 +14,7 @@ use std::{
     process::{Command, Output},
 };
 
-use run::{dgs, names, ok, refused};
+use run::{dgs, killed, names, ok, refused};
 
 const DGS: &str = env!("CARGO_BIN_EXE_dgs");
 
@@ -86,20 +86,11 @@ fn a_folder_of_frames_is_whole_or_not_there() {
     ok(at, &["encode", "synth:balls:4000:60", "--pictures", "0", "--out", "long.dgs"]);
     encode(at, "short.dgs");
     // Killed as soon as the first frame lies in the folder under its temporary name.
-    let mut child =
-        Command::new(DGS).current_dir(at).args(["decode", "long.dgs", "--out", "frames"]).spawn().unwrap();
-    let half = loop {
+    let half = killed(at, &["decode", "long.dgs", "--out", "frames"], "frames", || {
         // Whether the folder can be made is tried first, and the trial vanishes again.
         let inside = |half: &String| fs::read_dir(at.join(half)).map_or(0, Iterator::count);
-        let begun = names(at).into_iter().find(|name| name.starts_with(".frames.") && inside(name) > 1);
-        if let Some(half) = begun {
-            break half;
-        }
-        assert!(child.try_wait().unwrap().is_none(), "decoding ended before it was seen");
-    };
-    child.kill().unwrap();
-    child.wait().unwrap();
-    assert!(!at.join("frames").exists());
+        names(at).into_iter().find(|name| name.starts_with(".frames.") && inside(name) > 1)
+    });
     let text = refused(at, &["import", &half]);
     assert!(text.contains("complete: found false"), "{text}");
 

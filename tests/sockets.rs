@@ -42,11 +42,13 @@ use tokio::{
 };
 use trainer_host::{Stream, encode::Protection, stream::PacketMap};
 
-/// One second of a small scene in windows of a third.
+/// Six seconds of a small scene in windows of two: what a busy machine sends or takes a second late is still
+/// there in time.
 fn stream() -> &'static Stream {
     static STREAM: OnceLock<Stream> = OnceLock::new();
     STREAM.get_or_init(|| {
-        let flags = ["dgs", "demo", "--window-frames", "10", "--pictures", "2", "--coarseness", "0.2"];
+        let flags =
+            ["dgs", "demo", "--window-frames", "10", "--pictures", "2", "--coarseness", "0.2", "--fps", "5"];
         let Ok(Cli { verb: Verb::Demo(args), .. }) = Cli::try_parse_from(flags) else { panic!("{flags:?}") };
         let scene = pipeline::import("synth:cloth:4000:30", &args.source).unwrap().scene;
         let options = pipeline::encode_options(&args.codec, Protection::STANDARD);
@@ -139,7 +141,10 @@ impl Running {
             stream: StreamChoice::Index(0),
             pin: None,
         };
-        ClientConfig::new(locator, self.trust.clone())
+        let mut config = ClientConfig::new(locator, self.trust.clone());
+        // Playout does not begin without what it waits for, however long a busy machine takes for that.
+        config.startup.max_wait = Nanos::from_s(20);
+        config
     }
 
     /// Plays without pictures.

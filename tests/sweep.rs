@@ -201,29 +201,38 @@ fn a_killed_sweep_loses_nothing_that_was_finished() {
     fs::write(&config, text).unwrap();
     let (killed, whole) = (at(&folder, "killed"), at(&folder, "whole"));
     let args = ["sweep", &config, "-o", &killed, "--threads", "1"];
-    let mut child = command(&args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let runs = Path::new(&killed).join("runs");
     let finished = || -> Vec<PathBuf> {
         let Ok(entries) = fs::read_dir(&runs) else { return Vec::new() };
         let paths = entries.map(|entry| entry.unwrap().path());
         paths.filter(|path| path.extension().is_some_and(|extension| extension == "jsonl")).collect()
     };
-    let start = Instant::now();
-    while finished().len() < 3 {
-        assert!(start.elapsed() < Duration::from_secs(120), "no batch was finished");
-        assert!(child.try_wait().unwrap().is_none(), "the sweep was over before it was killed");
-        std::thread::sleep(Duration::from_millis(2));
-    }
-    child.kill().unwrap();
-    child.wait().unwrap();
-    let written: Vec<(PathBuf, SystemTime)> = finished()
+    let mut left = 5;
+    let cut = loop {
+        let mut child = command(&args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        let start = Instant::now();
+        while finished().len() < 3 && child.try_wait().unwrap().is_none() {
+            assert!(start.elapsed() < Duration::from_secs(300), "no batch was finished");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let batches = finished();
+        left -= 1;
+        // A busy machine may let this process wait until all of them are there: then it begins again.
+        if batches.len() < 40 || left == 0 {
+            break batches;
+        }
+        fs::remove_dir_all(&killed).unwrap();
+    };
+    let written: Vec<(PathBuf, SystemTime)> = cut
         .into_iter()
         .map(|path| {
             let time = fs::metadata(&path).unwrap().modified().unwrap();
             (path, time)
         })
         .collect();
-    assert!((3..40).contains(&written.len()), "{}", written.len());
+    assert!((3..40).contains(&written.len()), "{} of 40 batches were there", written.len());
     let said = ok(&["sweep", &config, "-o", &killed]);
     assert!(said.contains(&format!("{} of 40 batches of this share were there", written.len())), "{said}");
     for (path, time) in written {

@@ -62,6 +62,13 @@ fn typed(args: &Bench, json: bool) -> Vec<OsString> {
             typed.extend([option.into(), folder.into()]);
         }
     }
+    if let Some(states) = args.perceptual_states {
+        typed.extend(["--perceptual-states".into(), states.to_string().into()]);
+    }
+    if let Some(only) = &args.only {
+        // One argument, so that a name that begins with a dash is none of another option.
+        typed.push(format!("--only={only}").into());
+    }
     if let Some(name) = &args.name {
         typed.extend(["--".into(), name.into()]);
     }

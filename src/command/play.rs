@@ -1,6 +1,8 @@
 //! Plays a served stream and says how good it was: `dgs play`.
 
-use std::{collections::BTreeMap, path::Path, sync::Arc, time::Duration};
+mod shown;
+
+use std::{path::Path, time::Duration};
 
 use anyhow::{Context, Result, bail};
 use codec_core::{
@@ -11,13 +13,9 @@ use dgs_player::StreamInfo;
 use dgs_quic::socket::{
     ClientConfig, Conditions, FrameShown, FrameSink, Granted, PlayError, PlayReport, Scheme, play,
 };
-use render_host::metric;
-use serde::Serialize;
 use serde_json::json;
-use trainer_host::{
-    Stream,
-    evaluator::{self, PSNR_CAP_DB},
-};
+use shown::{Quality, Shown};
+use trainer_host::Stream;
 
 use super::{
     interruption::leave,
@@ -26,21 +24,22 @@ use super::{
 };
 use crate::{
     args::Play,
-    figures::{frozen, mean, startup},
+    figures::{frozen, startup},
     files::LineLog,
     output::VerbOutput,
-    pictures::{PictureOutput, PictureRun, PictureWriter},
+    pictures::PictureOutput,
     pipeline::{self, Frames, Quiet, Watching},
-    progress::Progress,
 };
+
+/// What a clip that repeats is numbered by.
+const NUMBERED: &str = "frames were shown more than once: files in a folder, and psnr_db in --json, are \
+                        numbered in the order of showing";
 
 /// Remembers the state in which each frame was shown; pictures are drawn once nothing has to be on time.
 struct States<'a> {
     args: &'a Play,
     draws: bool,
-    /// Frames in which nothing new has arrived share one state.
-    shown: BTreeMap<u32, Arc<[u8]>>,
-    newest: Arc<[u8]>,
+    shown: Shown,
     /// The viewer that is typed, once the manifest is there, and the frame that it sees next.
     watching: Option<Result<Watching>>,
     next: u32,
@@ -63,11 +62,7 @@ impl FrameSink for States<'_> {
     fn show(&mut self, player: &mut dgs_player::Player, frame: u32) -> Result<(), String> {
         self.next = frame + 1;
         if self.draws {
-            let state = player.content().blocks;
-            if *self.newest != *state {
-                self.newest = state.into();
-            }
-            self.shown.insert(frame, Arc::clone(&self.newest));
+            self.shown.add(frame, player.content().blocks);
         }
         match &self.watching {
             Some(Err(error)) => Err(format!("{error:#}")),
@@ -114,14 +109,6 @@ fn frames(args: &Play, player: dgs_player::Player) -> Frames {
     Frames::of_stream(player, Level::ALL[Level::COUNT - 1], args.up.map(Into::into))
 }
 
-/// What was shown against the complete frames of a file.
-#[derive(Debug, Serialize)]
-struct Quality {
-    mean_psnr_db: f64,
-    worst_tenth_psnr_db: f64,
-    psnr_db: BTreeMap<u32, f64>,
-}
-
 /// Runs the verb.
 pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
     let trust = trust(&args.url, args.pin, args.ca.as_ref())?;
@@ -143,9 +130,8 @@ pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
     };
     let log = args.log.as_deref().map(LineLog::open).transpose()?;
     let draws = args.out.is_some() || reference.is_some();
-    let (shown, newest) = (BTreeMap::new(), Arc::default());
-    let whole = reference.as_ref();
-    let mut states = States { args, draws, shown, newest, watching: None, next: 0, reference: whole, log };
+    let (shown, whole) = (Shown::default(), reference.as_ref());
+    let mut states = States { args, draws, shown, watching: None, next: 0, reference: whole, log };
     let played = runtime()?.block_on(async {
         match args.url.scheme {
             Scheme::Moq => relay::play(&config, &mut states, interruption()).await,
@@ -176,13 +162,19 @@ pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
     let quality = match (played.player, draws) {
         (Some(player), true) => {
             let output = args.out.as_deref().zip(output);
-            draw(args, player, watching, &states.shown, (output, reference.as_ref()), quiet)?
+            let mut frames = frames(args, player);
+            let watching = match watching {
+                Some(watching) => watching,
+                None => Watching::of(&args.cameras, &args.view, &mut frames)?,
+            };
+            states.shown.draw(args, &frames, &watching, (output, reference.as_ref()), quiet)?
         }
         _ => None,
     };
     let mut text = summary(args, &played.report, quality.as_ref());
     let growing = if grows { unused_where_it_grows(args) } else { None };
-    let notes: Vec<String> = growing.into_iter().chain(rounded).collect();
+    let numbered = states.shown.repeats().then(|| NUMBERED.to_owned());
+    let notes: Vec<String> = growing.into_iter().chain(rounded).chain(numbered).collect();
     for note in &notes {
         text += &format!("  note: {note}\n");
     }
@@ -275,67 +267,6 @@ fn output(args: &Play, out: &Path) -> Result<PictureOutput> {
     }
     output.check(out, args.overwrite)?;
     Ok(output)
-}
-
-/// Pictures that are in memory at once.
-const PICTURES_AT_ONCE: usize = 16;
-
-/// Draws every frame in the state in which it was shown: writes it, and compares it with the complete frame.
-fn draw(
-    args: &Play,
-    player: dgs_player::Player,
-    watching: Option<Watching>,
-    states: &BTreeMap<u32, Arc<[u8]>>,
-    (output, reference): (Option<(&Path, PictureOutput)>, Option<&Stream>),
-    quiet: Quiet,
-) -> Result<Option<Quality>> {
-    let mut frames = frames(args, player);
-    let watching = match watching {
-        Some(watching) => watching,
-        None => Watching::of(&args.cameras, &args.view, &mut frames)?,
-    };
-    let settings = pipeline::settings(&args.view);
-    let frames_per_second = frames.frames_per_second();
-    let Frames::Stream { received, .. } = &frames else { bail!("a stream has frames of a stream") };
-    let content = received.content();
-    let whole = reference.map(Stream::receive).transpose()?;
-    let complete = whole.as_ref().map(|whole| whole.content());
-    let overwrite = args.overwrite;
-    let run = PictureRun { pictures: states.len(), frames_per_second, quality: None, overwrite };
-    let writer = output.filter(|_| !states.is_empty());
-    let mut writer = writer.map(|(out, output)| PictureWriter::begin(out, output, run)).transpose()?;
-    if let Some(writer) = &mut writer {
-        writer.name_cameras(watching.description());
-    }
-    let shown: Vec<(u32, Option<&[u8]>)> =
-        states.iter().map(|(frame, state)| (*frame, Some(&**state))).collect();
-    let mut psnr_db = BTreeMap::new();
-    let progress = Progress::new("play", quiet.0);
-    for (at, part) in shown.chunks(PICTURES_AT_ONCE).enumerate() {
-        progress.step("drawing", at * PICTURES_AT_ONCE, shown.len());
-        let images = watching.pictures(&content, part, &settings)?;
-        if let Some(writer) = &mut writer {
-            for ((frame, _), image) in part.iter().zip(&images) {
-                writer.add(&format!("{frame:05}"), image)?;
-            }
-        }
-        let Some(complete) = &complete else { continue };
-        let all: Vec<_> = part.iter().map(|(frame, _)| (*frame, Some(complete.blocks))).collect();
-        let references = watching.pictures(complete, &all, &settings)?;
-        for ((frame, _), (image, reference)) in part.iter().zip(images.iter().zip(&references)) {
-            psnr_db.insert(*frame, metric::psnr(image, reference)?.min(PSNR_CAP_DB));
-        }
-    }
-    progress.stage("finishing", 1.0);
-    if let Some(writer) = writer {
-        writer.finish()?;
-    }
-    Ok(complete.map(|_| quality(psnr_db)))
-}
-
-fn quality(psnr_db: BTreeMap<u32, f64>) -> Quality {
-    let all: Vec<f64> = psnr_db.values().copied().collect();
-    Quality { mean_psnr_db: mean(&all), worst_tenth_psnr_db: evaluator::worst_tenth(&all), psnr_db }
 }
 
 /// The report for people.

@@ -21,6 +21,7 @@ use serde_json::json;
 use trainer_host::train::{self, Checkpoint, Dataset, DynamicScene, Test, Views, delivery::DeliveryOptions};
 
 use self::{
+    delivery::Pictures,
     encoder_options::EncoderOptions,
     encoding::{Written, check_size, steps_are_typed, within_loss},
     epochs::Plan,
@@ -193,7 +194,8 @@ fn finish(
     let mut section = None;
     let written = match delivery.filter(|_| !ended.interrupted) {
         Some((options, backend)) => {
-            let references = (dataset, trained.options.background, trained.options.max_side);
+            let (background, max_side) = (trained.options.background, trained.options.max_side);
+            let references = Pictures { dataset, background, max_side, trained: Some(trained) };
             let with = (options, backend);
             let sized = &with_size(args, trained);
             let tuned = delivery::fine_tuned(sized, folder, &trained.scene, references, with, stop, quiet)?;
@@ -211,11 +213,9 @@ fn finish(
     encoder.write(&folder.encoder)?;
 
     let figures = measured(dataset, trained, &decoded(&written)?, network, stop, quiet)?;
-    let plain = trained.options.background;
     let audits = if args.utility {
         stop.leave_at_once(ENCODED);
-        let shown = (plain, !trained.exposures.is_empty());
-        let (audits, table) = utility::audits(&written.stream, dataset, shown, &folder.utility, quiet)?;
+        let (audits, table) = utility::audits(&written.stream, dataset, trained, &folder.utility, quiet)?;
         if let Some(table) = table {
             files::write(&folder.stream, &pipeline::file_by_utility(&written.stream, &table)?)?;
         }

@@ -12,7 +12,7 @@ use anyhow::{Context, Result, bail};
 use dgs_quic::http::{HttpConfig, HttpLimits, HttpServer, Site, SiteStream};
 use serde_json::json;
 
-use self::opened::{check, opened};
+use self::opened::{check, check_names, opened};
 use super::{
     serve::name,
     socket::{asset, interruption, runtime},
@@ -54,6 +54,7 @@ fn page(args: &View, quiet: Quiet) -> Result<VerbOutput> {
         bail!("--seek, --paused, --once and --fullscreen are for --window, which is missing");
     }
     // Before any is encoded, for minutes.
+    check_names(&args.inputs)?;
     args.inputs.iter().try_for_each(|input| check(input, args))?;
     let (mut warnings, mut damaged) = (Vec::new(), false);
     let mut streams = Vec::new();
@@ -85,4 +86,28 @@ fn page(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     let json = json!({ "url": url, "server": report, "warnings": warnings });
     // They were said when serving began.
     Ok(VerbOutput { text, json, warnings: Vec::new(), damaged })
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::args::{Cli, Verb};
+
+    /// Nothing is read or encoded before: the inputs of this test are not there, or take long.
+    #[test]
+    fn streams_of_one_name_are_refused_before_anything_is_read() {
+        for (inputs, named) in [
+            (["none.dgs", "a/none.dgs"], "two streams are called none, none.dgs and a/none.dgs"),
+            (["synth:cloth:900000:900", "synth:cloth"], "dgs encode makes a file of a scene"),
+        ] {
+            let typed = [["dgs", "view", "--port", "0"].as_slice(), &inputs].concat();
+            let Ok(Cli { verb: Verb::View(args), .. }) = Cli::try_parse_from(&typed) else {
+                panic!("{typed:?}")
+            };
+            let error = format!("{:#}", run(&args, Quiet(true)).unwrap_err());
+            assert!(error.contains(named), "{error}");
+        }
+    }
 }

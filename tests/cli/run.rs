@@ -39,3 +39,25 @@ pub fn names(folder: &Path) -> Vec<String> {
     names.sort();
     names
 }
+
+/// What `begun` finds of `dgs` with `args` in `folder`, which is killed then, before it has made the folder
+/// `out`. On a busy machine this process may wait until `out` is there; then all of it is done again.
+pub fn killed(folder: &Path, args: &[&str], out: &str, begun: impl Fn() -> Option<String>) -> String {
+    for _ in 0..5 {
+        let mut child =
+            Command::new(env!("CARGO_BIN_EXE_dgs")).current_dir(folder).args(args).spawn().unwrap();
+        let found = loop {
+            let found = begun();
+            if found.is_some() || child.try_wait().unwrap().is_some() {
+                break found;
+            }
+        };
+        child.kill().unwrap();
+        child.wait().unwrap();
+        if !folder.join(out).exists() {
+            return found.unwrap();
+        }
+        fs::remove_dir_all(folder.join(out)).unwrap();
+    }
+    panic!("dgs {args:?} was never seen at work");
+}

@@ -4,7 +4,7 @@ use emulator_host::PacketGraph;
 
 use super::*;
 
-/// As [`super::stream`] over six seconds: there is time for a server to come back in the middle. Encoded
+/// As [`super::stream`], of fewer Gaussians: there is time for a server to come back in the middle. Encoded
 /// once, for the first server: the next one only opens its socket, while the client waits for it.
 fn slow() -> ServedStream {
     static ENCODED: OnceLock<(Stream, PacketGraph)> = OnceLock::new();

@@ -236,3 +236,53 @@ fn a_time_that_is_set_again_is_gone_to_again() {
     assert_eq!(page.run("player.session === null && player.view === null"), true);
     page.close();
 }
+
+/// A slider that was used has the focus, and its own keys alone; a list has all of them until something is
+/// chosen from it by a pointer.
+#[test]
+fn keys_are_heard_where_a_control_has_the_focus() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25", SIDE / 4) else {
+        return;
+    };
+    page.run(
+        "globalThis.part = (name) => player.shadowRoot.querySelector(`.${name}`);\
+         player.style.width = '640px', part('time').focus(), globalThis.view = String(player.view), 0",
+    );
+    page.browser.press("o").unwrap();
+    assert_eq!(page.run("player.overlay"), "levels");
+    page.browser.press(" ").unwrap();
+    assert_eq!(page.run("player.paused"), false);
+    page.browser.press(" ").unwrap();
+    assert_eq!(page.run("player.paused"), true);
+    page.browser.press("ArrowRight").unwrap();
+    assert_eq!(page.run("view === String(player.view)"), true);
+    page.run("part('speed').focus(), 0");
+    page.browser.press("o").unwrap();
+    assert_eq!(page.run("player.overlay"), "levels");
+    // Whether keys have chosen shows by the frame around the list.
+    for (by_keys, focus) in [("true", "speed"), ("false", "picture")] {
+        page.run(&format!(
+            "{{ const list = part('speed'); list.matches = () => {by_keys}; list.value = '2';\
+               list.dispatchEvent(new Event('change', {{ bubbles: true }})); }} 0"
+        ));
+        assert_eq!(page.run("player.shadowRoot.activeElement.className"), focus);
+    }
+    assert_eq!(page.run("player.playbackRate"), 2);
+    page.close();
+}
+
+/// Whoever goes by frames has stopped the clip, and hears so.
+#[test]
+fn a_step_stops_the_clip() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25", SIDE / 4) else {
+        return;
+    };
+    page.run(
+        "globalThis.heard = []; for (const name of ['play', 'pause', 'seeked'])\
+           player.addEventListener(name, () => heard.push(name));\
+         player.play(), player.step(1), player.step(1), 0",
+    );
+    assert_eq!(page.run("heard.join()"), "play,seeked,pause,seeked");
+    assert_eq!(page.run("player.paused"), true);
+    page.close();
+}

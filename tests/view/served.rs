@@ -50,11 +50,16 @@ pub struct Served {
 
 impl Served {
     pub fn start() -> Self {
-        let streams = [SMALL, LARGE].map(|which| SiteStream {
-            name: which.0.to_owned(),
+        Self::files([SMALL, LARGE].map(|which| (which.0, stream(which).to_bytes().unwrap())))
+    }
+
+    /// Of files, each with its name.
+    pub fn files<const COUNT: usize>(files: [(&str, Vec<u8>); COUNT]) -> Self {
+        let streams = files.map(|(name, bytes)| SiteStream {
+            name: name.to_owned(),
             address: None,
             web_address: None,
-            file: Some(stream(which).to_bytes().unwrap().into()),
+            file: Some(bytes.into()),
         });
         let site = Site::new(page, &streams, None).unwrap();
         let (stop, stopped) = oneshot::channel();
@@ -103,8 +108,8 @@ pub struct Live {
     pub page: String,
     server: Child,
     said: BufReader<ChildStdout>,
-    /// Open for as long as it serves.
-    _input: ChildStdin,
+    /// Open for as long as it serves, or until [`Live::end`].
+    input: Option<ChildStdin>,
     _folder: tempfile::TempDir,
 }
 
@@ -161,7 +166,19 @@ impl Live {
         said.read_line(&mut address).unwrap();
         said.read_line(&mut page).unwrap();
         assert!(page.starts_with("http://"), "dgs serve has ended: {:?}, {address:?}", server.wait());
-        Self { page: page.trim().to_owned(), server, said, _input: stdin, _folder: folder }
+        Self { page: page.trim().to_owned(), server, said, input: Some(stdin), _folder: folder }
+    }
+
+    /// Goes on writing the stream.
+    pub fn write(&mut self, bytes: &[u8]) {
+        let input = self.input.as_mut().unwrap();
+        input.write_all(bytes).unwrap();
+        input.flush().unwrap();
+    }
+
+    /// Nothing more is written.
+    pub fn end(&mut self) {
+        self.input = None;
     }
 
     /// What it says of its viewers at the end.

@@ -1,6 +1,16 @@
-//! A file comes from every kind of server: with byte ranges, without, with faults.
+//! A file comes from every kind of server: with byte ranges, without, with faults. It may be a part of a
+//! stream, or lack stand-ins; or it is not finished.
 
-use super::{PAGE_TIMEOUT_S, Page, served};
+#[path = "growing.rs"]
+mod growing;
+
+use dgs_player::Stream;
+use dgs_viewer::Session;
+
+use super::{
+    MESSAGE, PAGE_TIMEOUT_S, Page, SIDE,
+    served::{self, Served},
+};
 
 /// Makes a server of another `kind` of this page's server, by what its scripts see of it.
 const SERVERS: &str = "const real = globalThis.fetch; globalThis.kind = ''; globalThis.requests = 0;\
@@ -107,5 +117,66 @@ fn a_file_that_changes_or_is_none_is_refused_with_its_address() {
         let most = if kind == "is gone" { 4.0 } else { 2.0 };
         assert!(page.number("requests") <= most, "{kind}");
     }
+    page.close();
+}
+
+/// `dgs cut` leaves packets out, and a file without them is whole.
+#[test]
+fn packets_that_somebody_left_out_are_no_damage() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25", SIDE / 4) else {
+        return;
+    };
+    let mut bytes = served::stream(served::SMALL).with_packets(|id| id % 3 != 1).to_bytes().unwrap();
+    let (_, damage) = Stream::from_bytes(&bytes).unwrap();
+    assert!(damage.is_none() && damage.missing_packets > 0, "{damage:?}");
+    let folder = tempfile::tempdir().unwrap();
+    let open = |page: &mut Page, name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        page.run("globalThis.old = player.session, 0");
+        page.browser.choose_file("#pick", &path).unwrap();
+        page.browser.wait(PAGE_TIMEOUT_S, "player.session !== old && player.session.settled").unwrap();
+        [page.run("player.session.damage"), page.run(MESSAGE)]
+    };
+    assert_eq!(open(&mut page, "cut.dgs", &bytes), ["", ""]);
+    // The comparison can fail.
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    let [damage, said] = open(&mut page, "damaged.dgs", &bytes);
+    let damage = damage.as_str().unwrap();
+    assert!(damage.contains("damaged byte ranges"), "{damage}");
+    assert_eq!(said, format!("Damaged, shown as far as it goes: {damage}"));
+    page.close();
+}
+
+/// Without stand-ins there is nothing to look at in the first bytes: the camera finds what comes then, unless
+/// an address says where it is.
+#[test]
+fn the_camera_finds_a_stream_without_stand_ins() {
+    let Some(mut page) = Page::blank() else { return };
+    let bytes = served::encoded("synth:figure:1000:30", &["--profile", "paper"]);
+    let (mut whole, _) = Session::open(&bytes).unwrap();
+    let up = whole.up_of_stream();
+    whole.look_at_all(1.0, up).unwrap();
+    let expected = whole.orbit().numbers();
+    page.served = Served::files([("bare", bytes)]);
+    let url = format!("{}?src=streams/bare.dgs&paused&pixel-ratio=0.25", page.served.url());
+    page.play(&url, SIDE / 4);
+    let is_there = "player.dataset.transport === 'ranges' && player.buffered === 1 && player.session.settled";
+    page.browser.wait(PAGE_TIMEOUT_S, is_there).unwrap();
+    // Around nothing it would be half as far away.
+    page.browser.wait(PAGE_TIMEOUT_S, &format!("player.view[2] > {}", 0.8 * expected[2])).unwrap();
+    let is_near = format!("(player.home(), Math.abs(player.view[2] / {} - 1) < 0.05)", expected[2]);
+    page.browser.wait(PAGE_TIMEOUT_S, &is_near).unwrap();
+    let view = |page: &mut Page| -> Vec<f64> {
+        page.run("player.view").as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+    };
+    let found = view(&mut page);
+    let near = |(a, b): (&f64, &f64)| (a - b).abs() < 0.05 * expected[2];
+    assert!(found.iter().zip(&expected).all(near), "{found:?} of {expected:?}");
+    page.browser.go("about:blank").unwrap();
+    page.play(&format!("{url}#view=1,0.25,3.5,0.5,0.25,0.125"), SIDE / 4);
+    page.browser.wait(PAGE_TIMEOUT_S, is_there).unwrap();
+    assert_eq!(view(&mut page), [1.0, 0.25, 3.5, 0.5, 0.25, 0.125]);
     page.close();
 }

@@ -139,6 +139,18 @@ impl DgsPlayer {
         }
     }
 
+    /// What `error` of reading a manifest is to the caller, who has a block and knows of no arena in it.
+    fn refused(&self, error: Error) -> DgsError {
+        let plain = DgsError::from(error);
+        if error.kind != ErrorKind::Capacity || error.field != "arena" {
+            return plain;
+        }
+        let found = self.len as u64;
+        let least = found.saturating_add(plain.least.saturating_sub(plain.found));
+        let least = least.checked_next_multiple_of(DGS_ALIGN as u64).unwrap_or(u64::MAX);
+        DgsError { found, least, most: least, ..plain }
+    }
+
     /// A caller's list outside the block; null is an empty one.
     unsafe fn list<'a, T>(&self, pointer: *const T, len: usize, argument: &'static str) -> Checked<&'a [T]> {
         apart(self.block(), pointer, len, argument)?;
@@ -285,8 +297,8 @@ pub unsafe extern "C" fn dgs_required(
         call(player, error, |player| {
             player.place(bytes, "bytes")?;
             let message = player.list(message, message_len, "message")?;
-            let words = player.waiting()?.required(message)?.words;
-            player.put(bytes, block_bytes(words), "bytes")
+            let required = player.waiting()?.required(message).map_err(|error| player.refused(error))?;
+            player.put(bytes, block_bytes(required.words), "bytes")
         })
     }
 }
@@ -311,7 +323,7 @@ pub unsafe extern "C" fn dgs_manifest(
                 Ok(playing) => player.state = State::Playing(playing),
                 Err((waiting, refused)) => {
                     player.state = State::Waiting(waiting);
-                    return Err(refused.into());
+                    return Err(player.refused(refused));
                 }
             }
             Ok(())

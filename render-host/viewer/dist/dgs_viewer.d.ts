@@ -134,7 +134,7 @@ export class Decoder {
     free(): void;
     [Symbol.dispose](): void;
     /**
-     * Where the Gaussians of the frame are: their middle (3), and a radius.
+     * Where the Gaussians of the frame are: their middle (3), and a radius; nothing if none of them is seen.
      */
     bounds(): Float64Array;
     /**
@@ -255,6 +255,10 @@ export class Decoder {
      * The number of the footprint that Gaussians are drawn with.
      */
     readonly footprint: number;
+    /**
+     * Whether anything has come of what is shown at the frame.
+     */
+    readonly hasCome: boolean;
     /**
      * Share of the file that is there.
      */
@@ -417,6 +421,7 @@ export interface InitOutput {
     readonly decoder_fetch: (a: number, b: number, c: number) => [number, number, number];
     readonly decoder_footprint: (a: number) => number;
     readonly decoder_goTo: (a: number, b: number) => void;
+    readonly decoder_hasCome: (a: number) => number;
     readonly decoder_impair: (a: number, b: number, c: number, d: number, e: number, f: number) => [number, number];
     readonly decoder_info: (a: number) => [number, number];
     readonly decoder_levels: (a: number) => [number, number, number, number];
@@ -453,11 +458,11 @@ export interface InitOutput {
     readonly screen_upload: (a: number, b: number, c: number, d: number, e: number, f: number, g: number) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64: (a: number, b: number, c: any, d: any) => void;
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_84: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_87: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_85: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_88: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_89: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043: (a: number, b: number, c: any) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_86: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_87: (a: number, b: number, c: any) => void;
     readonly __wbindgen_malloc: (a: number, b: number) => number;
     readonly __wbindgen_realloc: (a: number, b: number, c: number, d: number) => number;
     readonly __wbindgen_free: (a: number, b: number, c: number) => void;

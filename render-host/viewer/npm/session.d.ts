@@ -60,6 +60,8 @@ export class Session extends Controls {
   moves(now: number, pixelsAreFixed: boolean): boolean;
   /** A picture came at `now` that had been due for `waited`, milliseconds. */
   cameLate(now: number, waited: number): void;
+  /** Whether the clock waits for whoever makes the stream: it was ahead of what there is. */
+  readonly isAhead: boolean;
   /** Whether packets are on their way through the emulated network. */
   readonly busy: boolean;
   /** Whether the screen has the picture of what is requested. */
@@ -104,6 +106,9 @@ export class Session extends Controls {
   restart(): Promise<void>;
   /** Which way is up, as the stream says: `y`, `minus-z` and so on. */
   readonly upOfStream: string;
-  /** Moves the camera so that every Gaussian of the frame is in the picture. */
+  /**
+   * Moves the camera so that every Gaussian of the frame is in the picture; where none has come yet, once some have,
+   * unless the view is another by then.
+   */
   lookAtAll(aspect: number, up: string): Promise<void>;
 }

@@ -32,10 +32,10 @@ class Actions {
   }
 
   #state(busy) {
-    const { base_timeout } = this.#decoder;
+    const { base_timeout, hasCome } = this.#decoder;
     const [missing, levels, packets] = [this.#decoder.missing(), this.#decoder.levels(), this.#decoder.packets()];
     const quality = this.#decoder.quality();
-    return { busy, base_timeout, missing, levels, packets, quality, memory: memoryBytes() };
+    return { busy, base_timeout, hasCome, missing, levels, packets, quality, memory: memoryBytes() };
   }
 
   push(packets) {

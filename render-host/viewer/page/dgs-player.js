@@ -142,11 +142,7 @@ export class DgsPlayer extends Attributes {
 
   async #play(session) {
     const signal = this.#loads();
-    try {
-      await this.#began(session, () => {}, signal);
-    } catch (error) {
-      if (!signal.aborted) this.#fail(error);
-    }
+    await this.#began(session, () => {}, signal).catch((error) => signal.aborted || this.#fail(error));
   }
 
   /**
@@ -457,7 +453,9 @@ export class DgsPlayer extends Attributes {
 
   /** Goes `frames` frames on, and stands. */
   step(frames) {
+    const wasPlaying = this.session?.playing;
     this.#change("seeked", (session) => session.step(frames));
+    if (wasPlaying) this.#emit("pause");
   }
 
   /** Back to the first view. */

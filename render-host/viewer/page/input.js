@@ -133,6 +133,18 @@ class Flying {
   }
 }
 
+// Keys that a slider has itself.
+const OF_SLIDERS = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"];
+
+// Whether `key` is of the part that has the focus, and not of the player.
+function isOwn({ tagName, type }, key) {
+  if (type === "range") return OF_SLIDERS.includes(key);
+  // They are pressed by the space bar.
+  if (tagName === "BUTTON" || ["checkbox", "color"].includes(type)) return key === " ";
+  // A list finds its entries by their letters.
+  return ["INPUT", "SELECT"].includes(tagName) && key !== "?";
+}
+
 /** Keys of a player that has the focus. */
 export function bindKeys(player, canvas, moved) {
   const camera = (act) => () => {
@@ -181,15 +193,18 @@ export function bindKeys(player, canvas, moved) {
   player.addEventListener("keyup", (event) => flying.release(event.key.toLowerCase(), event.shiftKey));
   player.addEventListener("focusout", () => flying.stop());
   window.addEventListener("blur", () => flying.stop());
+  // Who chose from a list by a pointer has no more use for its keys; who walks through it by keys has.
+  canvas.getRootNode().addEventListener("change", ({ target }) => {
+    const isList = target.tagName === "SELECT";
+    if (isList && !target.matches(":focus-visible")) canvas.focus({ preventScroll: true });
+  });
   player.addEventListener("keydown", (event) => {
     if (event.key === "Shift") flying.release("", true);
     if (event.ctrlKey || event.metaKey || event.altKey || !player.session) return;
-    // A control that has the focus keeps its own keys; a button is pressed by the space bar.
     const focus = event.composedPath()[0];
     // One that has just closed may have it still.
     if (focus.closest?.("dialog[open]") && event.key !== "?") return;
-    const own = ["INPUT", "SELECT"].includes(focus.tagName) && event.key !== "?";
-    if (own || (focus.tagName === "BUTTON" && event.key === " ")) return;
+    if (isOwn(focus, event.key)) return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     if (flying.press(key, event.shiftKey)) {
       event.preventDefault();

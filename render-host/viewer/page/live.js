@@ -17,6 +17,9 @@ const SEEK_INTERVAL_MS = 250;
 const SHORTEST_ROUND_S = 1;
 // Without any media for this long after the manifest, it is requested in streams, milliseconds.
 const NO_DATAGRAMS_MS = 1000;
+// A clock that has shown nothing of a stream that grows for so long is ahead of whoever makes it: it stands,
+// and the newest window is asked for as often, milliseconds.
+const AHEAD_MS = 1000;
 // What of a player begins another round.
 const TURNS = ["loop", "seeked", "play", "pause"];
 
@@ -74,6 +77,10 @@ class Rounds {
   #anew = false;
   // Whether the stream grows: a round of it begins at its newest window.
   #grows = false;
+  // When something of what the clock showed was there last, or the newest window was asked for;
+  // and where what had been seen ended when the clock was found to be ahead, seconds.
+  #cameAt = performance.now();
+  #seenUntil = 0;
   // Why the server has ended the session.
   #refusal = null;
 
@@ -94,12 +101,16 @@ class Rounds {
     // A request may have begun another round meanwhile.
     if (this.#round === 0) [this.#start, this.#stood] = [start, session.time];
     const say = () => this.#receipt(session).catch(() => {});
-    const timer = setInterval(say, RECEIPT_INTERVAL_MS);
+    const look = () => (this.#follow(session), say());
+    const timer = setInterval(look, RECEIPT_INTERVAL_MS);
     const turn = ({ type }) => {
+      if (player.session !== session) return;
       // A short clip is there: the server need not begin again several times a second.
       if (type === "loop" && session.duration < SHORTEST_ROUND_S) return;
-      // Who pauses a stream that grows stays where they are.
-      if (type === "pause" && this.#grows) return;
+      // Who stands in a stream that grows stays where they are.
+      if (this.#grows && !session.playing) return;
+      // Where somebody wants to go, they go, whether or not there is more by now.
+      [session.isAhead, this.#cameAt] = [false, performance.now()];
       // A clock that stands has no deadlines: a round of its own brings what those of the one before left out.
       this.#seekSoon(session, type === "pause");
     };
@@ -148,13 +159,37 @@ class Rounds {
         if (this.#anew) await this.#restart(session);
         asked.tell(holds);
       }
-      // A stream that grows: the round begins at its newest window, whatever was asked for.
       if (kind === BEGIN && round === this.#round && this.#player.session === session) {
-        [this.#grows, session.time] = [true, Number(fields.getBigUint64(4, true)) / MICROSECONDS];
-        this.#stood = session.time;
-        this.#start = await session.roundStart(session.time);
+        await this.#begin(session, Number(fields.getBigUint64(4, true)) / MICROSECONDS);
       }
     }
+  }
+
+  // A stream that grows: the round begins at its newest window, at `time`, seconds, whatever was asked for.
+  async #begin(session, time) {
+    // Its end is one: nothing of it is sent again.
+    [this.#grows, session.looping] = [true, false];
+    // Who is ahead stands until there is a window that they have not seen.
+    if (!session.isAhead || time >= this.#seenUntil) {
+      session.goOn(time);
+      this.#cameAt = performance.now();
+    }
+    this.#stood = session.time;
+    this.#start = await session.roundStart(session.time);
+  }
+
+  // Finds that the clock is ahead of whoever makes a stream that grows: all that comes is over by then, and
+  // the server sends nothing.
+  #follow(session) {
+    if (!this.#grows || this.#player.session !== session) return;
+    const now = performance.now();
+    // The clock of a page that nobody sees stands.
+    const stands = !session.playing || document.hidden;
+    if (stands || (session.hasCome && !session.isAhead)) this.#cameAt = now;
+    if (now - this.#cameAt < AHEAD_MS) return;
+    if (!session.isAhead) this.#seenUntil = session.seenUntil;
+    [this.#cameAt, session.isAhead] = [now, true];
+    this.#seekSoon(session, true);
   }
 
   // Begins a round under `conditions`; resolves with what is granted, null where later ones came first.

@@ -10,6 +10,8 @@ export const LEVELS = 4;
 export const MAX_WAITING = 1024;
 // Questions to the decoder that the picture of what is requested may take.
 const MAX_ROUNDS = 8;
+// What `advance` says of a clock that waits.
+const WAITING = 4;
 
 // What blocks can be painted by, in the decoder's order.
 export const OVERLAYS = ["none", "levels", "arrivals", "missing"];
@@ -42,6 +44,13 @@ export class Session extends Controls {
   #damage;
   // What the decoder said last, besides pictures.
   #state;
+  // Whether anything had come of the frame that it was asked for, and where the last of those ends of which any
+  // had.
+  #hasCome = true;
+  #seenUntil = 0;
+  // How the camera was placed where there was nothing to look at yet: width by height, the view, packets that
+  // were decoded by then, and whether any have shown something since. Null once it is known where things are.
+  #unframed = null;
   // Counts what changes pictures besides frame, cap and overlay.
   #changes = 0;
   // What the last request asked for, and what the last picture on the screen answers.
@@ -63,6 +72,8 @@ export class Session extends Controls {
    * `{ link, scheduler }`, or with null where a later request took its place.
    */
   server = null;
+  /** Whether the clock waits for whoever makes the stream: it was ahead of what there is. */
+  isAhead = false;
   /** Called when an answer has come, and when the decoder fails. */
   answered = () => {};
   failed = () => {};
@@ -201,8 +212,24 @@ export class Session extends Controls {
     this.came(now / 1000, waited / 1000);
   }
 
+  /** Whether anything has come of what is shown, as last answered since the clock was set by `goOn`. */
+  get hasCome() {
+    return this.#hasCome;
+  }
+
+  /** Where the last frame ends of which anything had come, as answered, seconds. */
+  get seenUntil() {
+    return this.#seenUntil;
+  }
+
+  /** The clock goes on from `time`, seconds, where there is something again. */
+  goOn(time) {
+    [this.time, this.isAhead, this.#hasCome] = [time, false, true];
+  }
+
   /** Lets `dt` seconds pass: see `Controls`. */
   advance(dt) {
+    if (this.isAhead && this.playing) return WAITING;
     return super.advance(dt, this.#state.base_timeout, this.#state.missing);
   }
 
@@ -303,10 +330,50 @@ export class Session extends Controls {
     this.#state = await this.#decoding.ask("restart");
   }
 
-  /** Moves the camera so that every Gaussian of the frame is in the picture; `up` is `y`, `minus-z` and so on. */
+  /**
+   * Moves the camera so that every Gaussian of the frame is in the picture; `up` is `y`, `minus-z` and so on.
+   * Where none has come yet, it is moved once some have, and once more when their base has, unless the view
+   * is another by then.
+   */
   async lookAtAll(aspect, up) {
-    const [x, y, z, radius] = await this.#decoding.ask("bounds", this.frame);
-    if (!this.#freed) this.lookAround([x, y, z], radius, aspect, up);
+    const found = await this.#decoding.ask("bounds", this.frame);
+    if (this.#freed) return;
+    this.#lookAround(found, aspect, up);
+    const isOpen = found.length === 0 && this.#awaitsBase;
+    this.#unframed = isOpen ? { aspect, view: String(this.view), decoded: 0, hasFound: false } : null;
+  }
+
+  #lookAround([x = 0, y = 0, z = 0, radius = 1], aspect, up) {
+    this.lookAround([x, y, z], radius, aspect, up);
+  }
+
+  // Whether the base of the frame is still to come.
+  get #awaitsBase() {
+    const { missing } = this.#state;
+    return missing.some((first, k) => k % 2 === 0 && first <= this.frame && this.frame < missing[k + 1]);
+  }
+
+  async #lookAgain() {
+    const placed = this.#unframed;
+    if (!placed || placed.isAsking) return;
+    const [isLast, decoded] = [!this.#awaitsBase, this.#state.packets[1]];
+    if (!isLast && (placed.hasFound || decoded === placed.decoded)) return;
+    [placed.isAsking, placed.decoded] = [true, decoded];
+    const found = await this.#decoding.ask("bounds", this.frame);
+    if (this.#freed || this.#unframed !== placed) return;
+    placed.isAsking = false;
+    if (found.length > 0) {
+      const { view } = this;
+      this.#lookAround(found, placed.aspect, this.up);
+      // What somebody chose stays; the way back to the first view is to what has come.
+      if (String(view) !== placed.view) this.setView(view);
+      else placed.view = String(this.view);
+      placed.hasFound = true;
+      this.answered();
+    }
+    if (isLast) this.#unframed = null;
+    // More may have been answered meanwhile.
+    else await this.#lookAgain();
   }
 
   /** A screen that has nothing of this session must be given all of it. */
@@ -335,7 +402,7 @@ export class Session extends Controls {
     if (hasScreen) this.#anew = false;
     const asking = { ...given, anew, hasScreen, buffer };
     this.#pending = this.#decoding.ask("show", asking, buffer ? [buffer] : []).then(
-      ({ picture, state }) => this.#takeAnswer(target, hasScreen, picture, state),
+      ({ picture, state }) => this.#takeAnswer(given.frame, target, hasScreen, picture, state),
       (error) => {
         this.#pending = null;
         this.#fail(error);
@@ -343,10 +410,13 @@ export class Session extends Controls {
     );
   }
 
-  #takeAnswer(target, hasScreen, picture, state) {
+  #takeAnswer(frame, target, hasScreen, picture, state) {
     this.#pending = null;
     if (this.#freed) return;
     this.#state = state;
+    this.#hasCome = state.hasCome;
+    if (state.hasCome) this.#seenUntil = (frame + 1) / this.#facts.rate;
+    this.#lookAgain().catch((error) => this.#fail(error));
     // A screen was forgotten while this was made.
     if (hasScreen && !this.#anew) this.#answer = { target, picture };
     this.answered();

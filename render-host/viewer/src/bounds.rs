@@ -7,12 +7,13 @@ const VISIBLE: f32 = 0.1;
 /// Share of the Gaussians left out on each side of each axis: stray ones would push the camera away.
 const STRAY: f64 = 0.02;
 
-/// The middle of `gaussians` and the radius around it, scene units. Whatever their order.
-pub fn bounds(gaussians: &[Gaussian]) -> ([f64; 3], f64) {
+/// The middle of `gaussians` and the radius around it, scene units, whatever their order; `None` if none of
+/// them is seen.
+pub fn bounds(gaussians: &[Gaussian]) -> Option<([f64; 3], f64)> {
     let visible = |g: &&Gaussian| g.opacity >= VISIBLE && g.position.iter().all(|v| v.is_finite());
     let seen: Vec<[f32; 3]> = gaussians.iter().filter(visible).map(|g| g.position).collect();
     if seen.is_empty() {
-        return ([0.0; 3], 1.0);
+        return None;
     }
     let stray = (STRAY * seen.len() as f64) as usize;
     let sides: [[f64; 2]; 3] = std::array::from_fn(|axis| {
@@ -23,7 +24,7 @@ pub fn bounds(gaussians: &[Gaussian]) -> ([f64; 3], f64) {
     let middle = sides.map(|[low, high]| 0.5 * (low + high));
     let half = sides.map(|[low, high]| 0.5 * (high - low));
     let radius = half.iter().map(|v| v * v).sum::<f64>().sqrt();
-    (middle, if radius > 0.0 { radius } else { 1.0 })
+    Some((middle, if radius > 0.0 { radius } else { 1.0 }))
 }
 
 #[cfg(test)]
@@ -37,7 +38,7 @@ mod tests {
     #[test]
     fn strays_absent_ones_and_order_do_not_matter() {
         let mut all: Vec<Gaussian> = (0..=100).map(|k| at([k as f32, 5.0, -(k as f32)])).collect();
-        let (middle, radius) = bounds(&all);
+        let (middle, radius) = bounds(&all).unwrap();
         assert_eq!(middle, [50.0, 5.0, -50.0]);
         assert!((radius - 48.0 * 2f64.sqrt()).abs() < 1e-9, "{radius}");
         all.extend([
@@ -46,9 +47,9 @@ mod tests {
             Gaussian { position: [1e6; 3], ..Gaussian::ABSENT },
         ]);
         all.reverse();
-        let (stray, _) = bounds(&all);
+        let (stray, _) = bounds(&all).unwrap();
         assert!((stray[0] - 50.0).abs() < 2.0, "{stray:?}");
-        assert_eq!(bounds(&[]), ([0.0; 3], 1.0));
-        assert_eq!(bounds(&[at([2.0; 3])]), ([2.0; 3], 1.0));
+        assert_eq!((bounds(&[]), bounds(&[Gaussian::ABSENT])), (None, None));
+        assert_eq!(bounds(&[at([2.0; 3])]), Some(([2.0; 3], 1.0)));
     }
 }

@@ -1,5 +1,7 @@
 //! A session holds one stream, its clock, its camera and its emulated network, and says what to draw.
 
+mod arrived;
+mod framing;
 mod network;
 mod overlay;
 mod quality;
@@ -12,6 +14,7 @@ use dgs_player::{Caps, Damage, ErrorKind, FrameDecoder, Player, Result, Stream, 
 use render_host::Splats;
 
 use self::{
+    framing::Unframed,
     network::{Network, id_of},
     overlay::Painter,
     quality::{blocks_of, quality},
@@ -22,7 +25,6 @@ pub use self::{
     quality::LEVELS,
 };
 use crate::{
-    bounds::bounds,
     channel::Conditions,
     orbit::{Orbit, Up},
     playback::{Playback, Step},
@@ -61,6 +63,8 @@ pub struct Session {
     live: bool,
     playback: Playback,
     orbit: Orbit,
+    /// How the camera was placed where there was nothing to look at yet.
+    unframed: Option<Unframed>,
     cap: usize,
     /// What a player that cannot keep up leaves out besides: levels above this, all but a share of Gaussians.
     reduced_cap: usize,
@@ -95,6 +99,7 @@ impl Session {
             live: false,
             playback,
             orbit: Orbit::default(),
+            unframed: None,
             cap: LEVELS - 1,
             reduced_cap: LEVELS - 1,
             thinner: Thinner::default(),
@@ -330,26 +335,6 @@ impl Session {
     /// Which way is up, as the stream says.
     pub fn up_of_stream(&self) -> Up {
         Up::named(self.player.info().up.name()).unwrap_or_default()
-    }
-
-    /// Moves the camera so that every Gaussian of the frame that is due is in a picture `aspect`
-    /// times as wide as high.
-    ///
-    /// # Errors
-    /// None in practice.
-    pub fn look_at_all(&mut self, aspect: f64, up: Up) -> Result<()> {
-        let (middle, radius) = self.bounds()?;
-        self.orbit = Orbit::around(middle, radius, aspect, up);
-        Ok(())
-    }
-
-    /// Where the Gaussians of the frame that is due are: see [`bounds`].
-    ///
-    /// # Errors
-    /// None in practice.
-    pub fn bounds(&mut self) -> Result<([f64; 3], f64)> {
-        self.last = None;
-        Ok(bounds(self.decoder.frame(&self.player.content(), self.playback.frame())?.gaussians))
     }
 
     /// The highest level that is shown, 0 to 3.

@@ -10,6 +10,7 @@ use dgs_viewer::{Conditions, DrawOptions, Drawn, KeepUp, Screen, Session, Wanted
 use crate::{
     Arrival, Feed, FeedRequest, WindowError, WindowOptions,
     controls::{Act, next_background},
+    options::aspect,
     title::{Rates, title},
 };
 
@@ -34,6 +35,8 @@ pub(crate) struct Engine {
     options: WindowOptions,
     feed: Feed,
     session: Option<Session>,
+    /// Whether its stream grows, and playout has begun.
+    begun: bool,
     /// The last piece of a file that was asked for.
     requested: Option<FeedRequest>,
     /// The network and the scheduler that the server was last asked for.
@@ -66,6 +69,7 @@ impl Engine {
             options,
             feed,
             session: None,
+            begun: false,
             requested: None,
             network: None,
             scheduler: None,
@@ -272,7 +276,8 @@ impl Engine {
             let Some(arrival) = self.feed.next() else { break };
             self.take(arrival, size)?;
         }
-        let Some(session) = &self.session else { return Ok(()) };
+        let Some(session) = &mut self.session else { return Ok(()) };
+        session.look_again(aspect(size))?;
         let request = match session.wanted() {
             Wanted::Range(range) => FeedRequest::Bytes(range),
             Wanted::Whole => FeedRequest::Whole,
@@ -318,6 +323,15 @@ impl Engine {
             }
             (Arrival::Piece { at, bytes }, Some(session)) => session.take(at, &bytes),
             (Arrival::Packet(packet), Some(session)) => session.push(&packet),
+            (Arrival::Begin(time_s), Some(session)) => {
+                let playback = session.playback_mut();
+                // Its end is one: nothing of it is sent again.
+                playback.set_looping(false);
+                // Who pauses it stays where they are.
+                if !std::mem::replace(&mut self.begun, true) || playback.playing() {
+                    playback.seek(time_s);
+                }
+            }
             (Arrival::Network { by_server, by_scheduler }, Some(session)) => {
                 if let Some(name) = self.scheduler.filter(|_| !by_scheduler) {
                     self.complaints.push(format!("{}: the server does not grant {name}", self.options.name));
@@ -332,7 +346,7 @@ impl Engine {
             (Arrival::End(Some(why)), None) => return Err(WindowError::Feed(why)),
             (Arrival::End(Some(why)), Some(_)) => self.complaints.push(why),
             // A manifest that is repeated says nothing new; what belongs to no stream is nobody's.
-            (Arrival::Manifest(_) | Arrival::Piece { .. } | Arrival::Packet(_), _)
+            (Arrival::Manifest(_) | Arrival::Piece { .. } | Arrival::Packet(_) | Arrival::Begin(_), _)
             | (Arrival::Network { .. } | Arrival::Anew | Arrival::End(None), _) => {}
         }
         Ok(())
@@ -341,6 +355,7 @@ impl Engine {
     fn begin(&mut self, mut session: Session, size: [u32; 2]) -> Result<(), WindowError> {
         self.options.apply(&mut session, size)?;
         self.forget();
+        self.begun = false;
         self.keep_up.restart();
         self.session = Some(session);
         Ok(())

@@ -34,6 +34,8 @@ pub enum Arrival {
     Manifest(Vec<u8>),
     /// A packet of it.
     Packet(Vec<u8>),
+    /// The stream grows, and playout of it goes on from this time, seconds: from what there is of it now.
+    Begin(f64),
     /// What the server makes of the network that was asked for.
     Network {
         /// Whether it emulates it. If not, the window does.

@@ -31,6 +31,7 @@ use super::{
     folder::Folder,
     interruption::Interruption,
     page::document,
+    trained::Trained,
     training::options as typed,
 };
 use crate::{
@@ -134,7 +135,7 @@ pub(super) fn run(
     quiet: Quiet,
 ) -> Result<VerbOutput> {
     let background = args.background.unwrap_or(BACKGROUND);
-    let pictures = (dataset, background, typed(args)?.max_side);
+    let pictures = Pictures { dataset, background, max_side: typed(args)?.max_side, trained: None };
     let Tuned { encoded: tuned, given, record, section, choice } =
         fine_tuned(args, folder, scene, pictures, (options, backend), stop, quiet)?;
     let updates = record.objective.len();
@@ -201,13 +202,53 @@ pub(super) struct Tuned {
     pub(super) choice: Option<RankChoice>,
 }
 
-/// The stream of `scene`, fine-tuned on a backend towards training views over a background, no side longer
-/// than the third says, until a person asks to stop; and how many updates were made.
+/// The pictures that a fine-tuning is towards.
+#[derive(Clone, Copy)]
+pub(super) struct Pictures<'a> {
+    pub(super) dataset: &'a Dataset,
+    pub(super) background: [f32; 3],
+    /// Longest side, pixels.
+    pub(super) max_side: u32,
+    /// What was trained on them, where something was: it knows the exposures of their cameras.
+    pub(super) trained: Option<&'a Trained>,
+}
+
+impl Pictures<'_> {
+    /// Up to `count` training views as pictures of frames of `scene`, evenly spread.
+    fn references(&self, scene: &Scene, count: usize) -> Result<Vec<Reference>> {
+        let views = self.dataset.train.sample(count);
+        let of = |view: &train::PosedPhotograph| match self.trained {
+            Some(trained) => self.reference(&trained.neutral(view), scene),
+            None => self.reference(view, scene),
+        };
+        views.photographs().iter().map(of).collect()
+    }
+
+    /// A view that nothing was trained on, the middle one; of the training split where there is no other.
+    fn unseen(&self, scene: &Scene) -> Result<Reference> {
+        let views = [self.dataset.test.photographs(), self.dataset.train.photographs()];
+        let views = views.into_iter().find(|views| !views.is_empty()).unwrap_or_default();
+        let view = views.get(views.len() / 2).context("there are no views")?;
+        self.reference(view, scene)
+    }
+
+    /// `view` as a picture of a frame of `scene`.
+    fn reference(&self, view: &train::PosedPhotograph, scene: &Scene) -> Result<Reference> {
+        let (width, height) = (view.camera.width(), view.camera.height());
+        let (shortest, longest) = (width.min(height), width.max(height));
+        // By a whole number, as photographs are reduced; one that leaves something of the shorter side.
+        let by = (shortest / 400).max(longest.div_ceil(self.max_side)).clamp(1, shortest);
+        Reference::of_photograph(view, scene, by, self.background).context("--references")
+    }
+}
+
+/// The stream of `scene`, fine-tuned on a backend towards `pictures` until a person asks to stop; and how many
+/// updates were made.
 pub(super) fn fine_tuned(
     args: &Train,
     folder: &Folder,
     scene: &Scene,
-    (dataset, background, max_side): (&Dataset, [f32; 3], u32),
+    pictures: Pictures<'_>,
     (options, backend): (&DeliveryOptions, &Backend),
     stop: &Interruption,
     quiet: Quiet,
@@ -218,7 +259,7 @@ pub(super) fn fine_tuned(
         encode: pipeline::encode_options(&args.codec, Protection::NONE),
         ..options.clone()
     };
-    let references = references(dataset, scene, (args.references, max_side), background)?;
+    let references = pictures.references(scene, args.references)?;
     let chosen = || rank::chosen(args, folder, scene, &references, (&options, backend), stop, quiet);
     let choice = args.choose_rank.then(chosen).transpose()?;
     let options = match &choice {
@@ -236,7 +277,7 @@ pub(super) fn fine_tuned(
     };
     let encoded = write(&tuned.scene, &tuned.decisions, &progress)?;
     drop(bar);
-    let damage = Damage::of(scene, &tuned, &unseen(dataset, scene, max_side, background)?)?;
+    let damage = Damage::of(scene, &tuned, &pictures.unseen(scene)?)?;
     let section = page::section(&tuned.record, seconds, &damage)?;
     Ok(Tuned { encoded, given: tuned.given, record: tuned.record, section, choice })
 }
@@ -343,41 +384,6 @@ pub(super) fn outcome(record: &Record, options: &DeliveryOptions, choice: Option
         taken.wire_bytes
     );
     text
-}
-
-/// Up to `count` training views as pictures of frames over `background`, evenly spread; no side of them is
-/// longer than `max_side` pixels.
-fn references(
-    dataset: &Dataset,
-    scene: &Scene,
-    (count, max_side): (usize, u32),
-    background: [f32; 3],
-) -> Result<Vec<Reference>> {
-    let views = dataset.train.sample(count);
-    let of = |view: &train::PosedPhotograph| reference(view, scene, max_side, background);
-    views.photographs().iter().map(of).collect()
-}
-
-/// A view that nothing was trained on, the middle one; of the training split where there is no other.
-fn unseen(dataset: &Dataset, scene: &Scene, max_side: u32, background: [f32; 3]) -> Result<Reference> {
-    let views = [dataset.test.photographs(), dataset.train.photographs()];
-    let views = views.into_iter().find(|views| !views.is_empty()).unwrap_or_default();
-    let view = views.get(views.len() / 2).context("there are no views")?;
-    reference(view, scene, max_side, background)
-}
-
-/// `view` as a picture of a frame over `background`, no side longer than `max_side` pixels.
-fn reference(
-    view: &train::PosedPhotograph,
-    scene: &Scene,
-    max_side: u32,
-    background: [f32; 3],
-) -> Result<Reference> {
-    let (width, height) = (view.camera.width(), view.camera.height());
-    let (shortest, longest) = (width.min(height), width.max(height));
-    // By a whole number, as photographs are reduced; one that leaves something of the shorter side.
-    let by = (shortest / 400).max(longest.div_ceil(max_side)).clamp(1, shortest);
-    Reference::of_photograph(view, scene, by, background).context("--references")
 }
 
 #[cfg(test)]

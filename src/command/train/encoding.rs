@@ -161,14 +161,17 @@ pub(super) fn within_loss(
         }
         // Views of which masks leave nothing have none; some view to train on has one.
         if psnr_db.is_nan() {
-            psnr_db = train::evaluate(shown, &dataset.train.sample(VIEWS), reduced, background)?.psnr_db;
+            let sample = dataset.train.sample(VIEWS);
+            psnr_db = train::evaluate(shown, &*trained.neutral_views(&sample)?, reduced, background)?.psnr_db;
         }
         if psnr_db.is_nan() {
-            psnr_db = train::evaluate(shown, &dataset.train, reduced, background)?.psnr_db;
+            let views = trained.neutral_views(&dataset.train)?;
+            psnr_db = train::evaluate(shown, &*views, reduced, background)?.psnr_db;
         }
         Ok(psnr_db)
     };
-    let trained_db = psnr_db(&trained.shown())?;
+    // Where frames are fewer than photographs have times, encoding does not answer for that.
+    let trained_db = psnr_db(&trained.shown_in_frames())?;
     let attempt = |number: usize, coarseness: f64| -> Result<Attempt> {
         let progress = named(attempt_in_words(number, coarseness, decisions.is_some()));
         let encoded = match decisions {

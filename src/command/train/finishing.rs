@@ -1,5 +1,7 @@
 //! Says what the end of a training left out, and what that cost and saved.
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 use trainer_host::{
     encode::{Decisions, Encoded},
@@ -46,9 +48,9 @@ struct Exposures {
 }
 
 impl Exposures {
-    fn of(places: &[[[f32; 3]; 2]]) -> Option<Self> {
+    fn of(places: &BTreeMap<[u64; 3], [[f32; 3]; 2]>) -> Option<Self> {
         let range = |part: usize| {
-            let values = || places.iter().flat_map(move |place| place[part]);
+            let values = || places.values().flat_map(move |place| place[part]);
             [values().fold(f32::INFINITY, f32::min), values().fold(f32::NEG_INFINITY, f32::max)]
         };
         (!places.is_empty()).then(|| Self { places: places.len(), factors: range(0), offsets: range(1) })
@@ -108,7 +110,7 @@ impl Finished {
             let [[darkest, brightest], [least, most]] = [factors, offsets];
             text += &format!(
                 "  exposures: {places} places, colours times {darkest:.3} to {brightest:.3}, \
-                 {least:+.3} to {most:+.3}; views are compared without them\n"
+                 {least:+.3} to {most:+.3}; the views above are compared without them\n"
             );
         }
         let [none, first, second, third] = self.clusters_of_degree;

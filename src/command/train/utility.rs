@@ -11,6 +11,7 @@ use trainer_host::{
     utility::{LevelAudit, References, Table, UtilityError, UtilityOptions},
 };
 
+use super::trained::Trained;
 use crate::{
     figures::audit_lines,
     pipeline::{self, Quiet},
@@ -44,22 +45,27 @@ impl Audit {
 
 /// Measures utilities of `stream` against the training photographs of `dataset` into the file `path`, and, as
 /// a check that no sender uses, against the test photographs. Gives the table of the first, too; none where
-/// some window is in no photograph. Where cameras have exposures (`has_exposures`), that they are not applied
-/// is said.
+/// some window is in no photograph. Where cameras have exposures, training photographs are taken as cameras
+/// without them would have; those of test cameras are not known, which is said.
 ///
 /// # Errors
 /// Photographs that cannot be compared, or a file that cannot be written.
 pub(super) fn audits(
     stream: &Stream,
     dataset: &Dataset,
-    (background, has_exposures): ([f32; 3], bool),
+    trained: &Trained,
     path: &Path,
     quiet: Quiet,
 ) -> Result<(Vec<Audit>, Option<Table>)> {
-    let alike = if has_exposures { ", cameras taken as alike" } else { "" };
-    let training = measured(stream, &dataset.train, background, Some(path), quiet);
+    let background = trained.options.background;
+    let [neutral, alike] = match trained.exposures.is_empty() {
+        true => [""; 2],
+        false => [", exposures taken off", ", cameras taken as alike"],
+    };
+    let photographs = trained.neutral_views(&dataset.train)?;
+    let training = measured(stream, &photographs, background, Some(path), quiet);
     let (of_training, table) =
-        audited(&format!("training photographs{alike}"), training).context("--utility")?;
+        audited(&format!("training photographs{neutral}"), training).context("--utility")?;
     let test = measured(stream, &dataset.test, background, None, quiet);
     let (of_test, _) = audited(&format!("test photographs{alike}"), test)?;
     Ok((vec![of_training, of_test], table))

@@ -1,5 +1,8 @@
 //! Brings a stream from a server to a window: packets of a session, or a file by byte ranges.
 
+#[cfg(test)]
+mod tests;
+
 use std::{
     collections::VecDeque,
     io::{self, Read as _},
@@ -56,11 +59,11 @@ pub(super) struct StreamLoader {
 }
 
 impl StreamLoader {
-    /// Begins to bring what lies at `address`.
+    /// Begins to bring what lies at `address`, of which the time `start_s`, seconds, is shown first.
     ///
     /// # Errors
     /// It is no address, or nothing says by what the server is known.
-    pub fn begin(address: &str) -> Result<(Self, Feed)> {
+    pub fn begin(address: &str, start_s: f64) -> Result<(Self, Feed)> {
         let (feeder, feed) = feed();
         let stop = Arc::new(AtomicBool::new(false));
         let heard = Arc::clone(&stop);
@@ -72,7 +75,9 @@ impl StreamLoader {
         } else {
             let locator: Locator = address.parse()?;
             let Some(pin) = locator.pin else { bail!("{address}: its #PIN is missing; dgs serve prints it") };
-            let config = ClientConfig { loops: true, ..ClientConfig::new(locator, Trust::Pin(pin)) };
+            let start_us = (start_s * 1e6) as u64;
+            let new = ClientConfig::new(locator, Trust::Pin(pin));
+            let config = ClientConfig { start_us, loops: true, ..new };
             named("dgs-session", move || load_session(&config, feeder, &heard))?
         };
         Ok((Self { thread, stop }, feed))
@@ -149,6 +154,10 @@ impl FrameSink for Forwarding<'_> {
         for packet in self.early.take().into_iter().flatten() {
             self.send(Arrival::Packet(packet));
         }
+    }
+
+    fn begun(&mut self, time_us: u64) {
+        self.send(Arrival::Begin(time_us as f64 * 1e-6));
     }
 
     fn media(&mut self, packet: &[u8]) {
@@ -398,60 +407,4 @@ fn body(response: Response<Body>, most: u64) -> Result<Vec<u8>> {
         bail!("more than {most} bytes came");
     }
     Ok(bytes)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A session's end after its manifest.
-    fn forwarding(
-        arrivals: SyncSender<Arrival>,
-        requests: Receiver<FeedRequest>,
-        stop: &AtomicBool,
-    ) -> Forwarding<'_> {
-        let (wanted_us, conditions, round_at, pose) = (None, None, None, None);
-        let waiting = VecDeque::new();
-        Forwarding { arrivals, requests, stop, early: None, wanted_us, conditions, round_at, pose, waiting }
-    }
-
-    #[test]
-    fn a_content_range_says_where_a_part_lies() {
-        assert_eq!(content_range("bytes 5-9/200"), Some((5, 200)));
-        for field in ["", "bytes 5-9/*", "bytes */200", "5-9/200", "bytes 5/200"] {
-            assert_eq!(content_range(field), None, "{field}");
-        }
-    }
-
-    #[test]
-    fn what_must_arrive_waits_for_room_and_packets_do_not() {
-        let (arrivals, window) = std::sync::mpsc::sync_channel(1);
-        let (_requested, requests) = std::sync::mpsc::channel();
-        let stop = AtomicBool::new(false);
-        let mut screen = forwarding(arrivals, requests, &stop);
-        screen.media(&[1]);
-        screen.media(&[2]);
-        screen.forget();
-        screen.forget();
-        screen.media(&[3]);
-        assert!(matches!(window.recv().unwrap(), Arrival::Packet(packet) if packet == [1]));
-        screen.send_waiting();
-        assert!(matches!(window.recv().unwrap(), Arrival::Anew));
-        screen.media(&[4]);
-        assert!(matches!(window.recv().unwrap(), Arrival::Packet(packet) if packet == [4]));
-        assert!(window.try_recv().is_err());
-    }
-
-    #[test]
-    fn a_session_ends_when_the_window_shows_something_else() {
-        let (Feeder { arrivals, requests }, window) = feed();
-        let stop = AtomicBool::new(false);
-        let mut screen = forwarding(arrivals, requests, &stop);
-        assert_eq!(screen.requested_round(), None);
-        assert!(!stop.load(Ordering::Relaxed));
-        drop(window);
-        screen.media(&[1]);
-        assert_eq!(screen.requested_round(), None);
-        assert!(stop.load(Ordering::Relaxed));
-    }
 }

@@ -8,6 +8,7 @@ use trainer_host::{encode::Protection, scene::Up};
 
 use crate::{
     args::View,
+    command::serve::name,
     pipeline::{self, Quiet},
 };
 
@@ -18,6 +19,23 @@ pub(super) struct Opened {
     pub up: Option<Up>,
     /// Whether only a part of the input was read.
     pub damaged: bool,
+}
+
+/// Refuses inputs of which two would have one name on a page.
+///
+/// # Errors
+/// Which two.
+pub(super) fn check_names(inputs: &[String]) -> Result<()> {
+    for (at, input) in inputs.iter().enumerate() {
+        if let Some(before) = inputs[..at].iter().find(|before| name(before) == name(input)) {
+            let called = name(input);
+            bail!(
+                "two streams are called {called}, {before} and {input}: rename a file; dgs encode makes a \
+                 file of a scene"
+            );
+        }
+    }
+    Ok(())
 }
 
 /// Refuses an `input` that no page shows, or that is not there.

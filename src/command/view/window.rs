@@ -27,7 +27,7 @@ pub(super) fn window(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     let mut damaged = false;
     let (feed, up, arriving) = if is_address(input) {
-        let (arriving, feed) = StreamLoader::begin(input)?;
+        let (arriving, feed) = StreamLoader::begin(input, args.look.seek)?;
         (feed, args.scene.up.map(Up::from), Some(arriving))
     } else {
         let mut say = |warning: String| output::print_status(&format!("warning: {warning}"));

@@ -14,7 +14,7 @@ use dgs_lab::{
 };
 use serde_json::json;
 
-/// Measure: every figure this project quotes, each beside its error.
+/// Measure: the figures this project quotes, each beside its error.
 #[derive(Debug, Parser)]
 #[command(name = "dgs bench", version, max_term_width = 100)]
 struct Typed {

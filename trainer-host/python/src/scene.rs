@@ -5,7 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use codec_core::{Footprint, internals::wire::file};
+use codec_core::{Footprint, ShDegree, internals::wire::file};
 use numpy::PyArrayDyn;
 use pyo3::{
     exceptions::{PyTypeError, PyUserWarning},
@@ -77,11 +77,14 @@ fn is_stream(path: &Path) -> bool {
     path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("dgs"))
 }
 
-/// Whether the file at `path` begins as a `.dgs` stream does.
-fn begins_as_stream(path: &Path) -> PyResult<bool> {
-    let mut found = [0; file::MAGIC.len()];
+/// How checkpoints of trainings begin.
+const CHECKPOINT_MAGIC: [u8; 8] = *b"DGSTRAIN";
+
+/// Whether the file at `path` begins with `magic`.
+fn begins_with<const N: usize>(path: &Path, magic: [u8; N]) -> PyResult<bool> {
+    let mut found = [0; N];
     match std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut found)) {
-        Ok(()) => Ok(found == file::MAGIC),
+        Ok(()) => Ok(found == magic),
         // Short, as `read` will say; a folder cannot be read on some systems, and not opened on others.
         Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof || path.is_dir() => Ok(false),
         Err(error) => Err(of_file(path, &error)),
@@ -90,7 +93,7 @@ fn begins_as_stream(path: &Path) -> PyResult<bool> {
 
 /// Whether `path` is read as a stream: its content is one, or its name says so and its content nothing else.
 fn is_read_as_stream(path: &Path) -> PyResult<bool> {
-    if begins_as_stream(path)? {
+    if begins_with(path, file::MAGIC)? {
         return Ok(true);
     }
     if !is_stream(path) || path.is_dir() {
@@ -110,18 +113,34 @@ fn turned(scene: &trainer_host::Scene, to: Up) -> PyResult<Option<trainer_host::
     edit::transform(scene, &turn).map(Some).map_err(refused)
 }
 
-/// Writes frame `frame` of `scene` in `format`.
-fn write_frame(scene: &trainer_host::Scene, format: FileFormat, path: &Path, frame: i64) -> PyResult<()> {
+/// Warns a caller of each of `said`.
+fn warn(py: Python<'_>, said: impl IntoIterator<Item = String>) -> PyResult<()> {
+    for sentence in said {
+        let message = std::ffi::CString::new(sentence).map_err(refused)?;
+        PyErr::warn(py, &py.get_type::<PyUserWarning>(), &message, 1)?;
+    }
+    Ok(())
+}
+
+/// Writes frame `frame` of `scene` in `format`, and says what that cannot hold of it.
+fn write_frame(
+    scene: &trainer_host::Scene,
+    format: FileFormat,
+    path: &Path,
+    frame: i64,
+) -> PyResult<Vec<String>> {
     let frame = checked_frame(frame, scene.frames())?;
-    let Some((epoch, t)) = scene.locate(frame) else { return Ok(()) };
+    let Some((epoch, t)) = scene.locate(frame) else { return Ok(Vec::new()) };
+    let epoch = &scene.epochs()[epoch];
     let failed = |error| of_file(path, &error);
-    let files = format.encode(&scene.epochs()[epoch], t, scene.footprint, path).map_err(failed)?;
+    let files = format.encode(epoch, t, scene.footprint, path).map_err(failed)?;
     if let Some((path, buffer)) = format.buffer_path(path).zip(files.buffer) {
         // Nobody named it: what is there may be something else.
         let mut new = std::fs::File::create_new(&path).map_err(|error| of_file(&path, &error))?;
         std::io::Write::write_all(&mut new, &buffer).map_err(|error| of_file(&path, &error))?;
     }
-    std::fs::write(path, files.bytes).map_err(failed)
+    std::fs::write(path, files.bytes).map_err(failed)?;
+    Ok(format.losses(epoch.attributes().sh_degree, scene.footprint))
 }
 
 /// Writes every frame as a PLY into the folder `path`, which must be empty or not there. Its index says that
@@ -154,13 +173,26 @@ fn write_folder(scene: &trainer_host::Scene, path: &Path) -> PyResult<()> {
     put_index(&index)
 }
 
-/// Writes `scene` as the ending of `path` says.
-pub fn save(scene: &trainer_host::Scene, path: &Path, frame: i64, keep_axes: bool) -> PyResult<()> {
+/// Writes `scene` as the ending of `path` says, and warns of what that cannot hold of it.
+fn save(
+    py: Python<'_>,
+    scene: &trainer_host::Scene,
+    path: &Path,
+    frame: i64,
+    keep_axes: bool,
+) -> PyResult<()> {
+    let losses = py.detach(|| write(scene, path, frame, keep_axes))?;
+    warn(py, losses.into_iter().map(|loss| format!("{}: {loss}", path.display())))
+}
+
+/// Writes `scene` as the ending of `path` says, and says what that cannot hold of it.
+fn write(scene: &trainer_host::Scene, path: &Path, frame: i64, keep_axes: bool) -> PyResult<Vec<String>> {
     if is_stream(path) {
         let encoded =
             encode::encode(scene, &EncodeOptions::default(), &encode::no_progress).map_err(refused)?;
         let bytes = encoded.stream.to_bytes().map_err(refused)?;
-        return std::fs::write(path, bytes).map_err(|error| of_file(path, &error));
+        std::fs::write(path, bytes).map_err(|error| of_file(path, &error))?;
+        return Ok(Vec::new());
     }
     let is_folder = path.is_dir() || path.extension().is_none();
     let is_clip = !is_folder && path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("4dgs"));
@@ -171,9 +203,14 @@ pub fn save(scene: &trainer_host::Scene, path: &Path, frame: i64, keep_axes: boo
     let scene = turned.as_ref().unwrap_or(scene);
     if is_clip {
         let bytes = export::fourdgs::encode(scene).map_err(|error| of_file(path, &error))?;
-        return std::fs::write(path, bytes).map_err(|error| of_file(path, &error));
+        std::fs::write(path, bytes).map_err(|error| of_file(path, &error))?;
+    } else if is_folder {
+        write_folder(scene, path)?;
+    } else {
+        return write_frame(scene, format, path, frame);
     }
-    if is_folder { write_folder(scene, path) } else { write_frame(scene, format, path, frame) }
+    // A .4dgs holds what a PLY does; neither leaves harmonics out.
+    Ok(FileFormat::Ply.losses(ShDegree::default(), scene.footprint))
 }
 
 /// The format that the ending of `path` names.
@@ -219,12 +256,16 @@ impl Scene {
         if !path.exists() {
             return Err(of_file(&path, &std::io::Error::from(std::io::ErrorKind::NotFound)));
         }
+        if begins_with(&path, CHECKPOINT_MAGIC)? {
+            return Err(refused(format!(
+                "{}: is a checkpoint of a training; dgs convert makes a scene of it (.4dgs or a folder: of \
+                 every frame), dgs encode a stream",
+                path.display()
+            )));
+        }
         if is_read_as_stream(&path)? {
             let (mut scene, warnings) = py.detach(|| received_scene(&path))?;
-            if !warnings.is_empty() {
-                let message = std::ffi::CString::new(warnings.join("; ")).map_err(refused)?;
-                PyErr::warn(py, &py.get_type::<PyUserWarning>(), &message, 1)?;
-            }
+            warn(py, (!warnings.is_empty()).then(|| warnings.join("; ")))?;
             scene.up = up.unwrap_or(scene.up);
             return Ok(Self(scene));
         }
@@ -311,7 +352,7 @@ impl Scene {
     /// Writes a frame, or all, as the ending of the path says.
     #[pyo3(signature = (path, *, frame = 0, keep_axes = false))]
     fn save(&self, py: Python<'_>, path: PathBuf, frame: i64, keep_axes: bool) -> PyResult<()> {
-        py.detach(|| save(&self.0, &path, frame, keep_axes))
+        save(py, &self.0, &path, frame, keep_axes)
     }
 
     fn __len__(&self) -> usize {
@@ -402,7 +443,8 @@ impl Scene {
     /// A scene is not pickled: it may be of gigabytes.
     fn __reduce__(&self) -> PyResult<()> {
         Err(PyTypeError::new_err(
-            "a dgs.Scene is not pickled; save it as .4dgs and load it, or pickle its arrays, scene.at(frame)",
+            "a dgs.Scene is not pickled; pickle its arrays, scene.at(frame), or save and load it: .4dgs has \
+             every frame but no footprint, .dgs is lossy",
         ))
     }
 
@@ -425,5 +467,5 @@ pub fn convert(
     up: Option<&str>,
 ) -> PyResult<()> {
     let scene = Scene::load(py, source, fps, 20_000, None, 1, false, false, 5_000_000, up)?;
-    py.detach(|| save(&scene.0, &target, frame, keep_axes))
+    save(py, &scene.0, &target, frame, keep_axes)
 }

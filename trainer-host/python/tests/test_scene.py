@@ -138,8 +138,12 @@ def test_mistakes_of_a_caller_are_no_damage(tmp_path: pathlib.Path) -> None:
 def test_scenes_are_copied_and_not_pickled() -> None:
     scene = dgs.Scene.from_arrays(**arrays())
     assert copy.copy(scene) is scene and copy.deepcopy([scene])[0] is scene
-    with pytest.raises(TypeError, match="save it as .4dgs"):
+    with pytest.raises(TypeError, match=r"pickle its arrays, scene.at\(frame\)"):
         pickle.dumps(scene)
+    # As that says, nothing of how they are drawn is lost.
+    pixel = dgs.Scene.from_arrays(**arrays(), footprint="pixel")
+    back = pickle.loads(pickle.dumps(pixel.at(2)))
+    assert back.footprint == "pixel" and np.array_equal(back.means, pixel.at(2).means)
 
 
 # Unit vectors of what ``Scene.up`` may be.
@@ -163,7 +167,11 @@ def test_files_come_back(tmp_path: pathlib.Path, ending: str, up: Any) -> None:
     given["means"] += 10 * AXES[up].astype(np.float32)
     scene = dgs.Scene.from_arrays(**given, up=up)
     path = tmp_path / f"scene.{ending}"
-    scene.save(path)
+    if ending == "splat":
+        with pytest.warns(UserWarning, match="harmonics above band 0 are left out"):
+            scene.save(path)
+    else:
+        scene.save(path)
     back = dgs.Scene.load(path)
     assert back.gaussians == 50 and len(back) == 1
     # Some formats turn the scene, all may change the order: what is the same is how high it lies and the span.
@@ -189,6 +197,57 @@ def test_a_folder_holds_every_frame_and_is_not_written_over(tmp_path: pathlib.Pa
     assert np.array_equal(back.at(2).means, scene.at(2).means)
     with pytest.raises(ValueError, match="not empty"):
         scene.save(tmp_path / "frames")
+
+
+@pytest.mark.parametrize(
+    ("name", "footprint", "drawn"),
+    [
+        ("a.4dgs", "pixel", "dilated"),
+        ("frames", "compensated", "dilated"),
+        ("a.ply", "compensated", "dilated"),
+        ("a.compressed.ply", "pixel", "dilated"),
+        ("a.glb", "pixel", "dilated"),
+        ("a.spz", "pixel", "compensated"),
+        ("a.sog", "pixel", "compensated"),
+        ("a.spz", "compensated", "compensated"),
+        ("a.dgs", "pixel", "pixel"),
+        ("a.dgs", "compensated", "compensated"),
+        ("a.4dgs", "dilated", "dilated"),
+    ],
+)
+def test_a_footprint_that_a_format_cannot_say_is_warned_of(
+    tmp_path: pathlib.Path, name: str, footprint: Any, drawn: str
+) -> None:
+    scene = dgs.Scene.from_arrays(**arrays(), footprint=footprint)
+    path = tmp_path / name
+    if footprint == drawn:
+        # A warning would be an error.
+        scene.save(path)
+    else:
+        said = f"{name}: the format cannot say footprint {footprint}: viewers will draw as {drawn}"
+        with pytest.warns(UserWarning, match=said):
+            scene.save(path)
+    assert dgs.Scene.load(path).footprint == drawn
+
+
+def test_each_loss_is_warned_of_and_by_convert_too(tmp_path: pathlib.Path) -> None:
+    losses = ["harmonics above band 0 are left out", "cannot say footprint pixel: viewers will draw as dilated"]
+    scene = dgs.Scene.from_arrays(**arrays(), footprint="pixel")
+    scene.save(tmp_path / "a.dgs")
+    ways: list[Callable[[], object]] = [
+        lambda: scene.save(tmp_path / "a.splat"),
+        lambda: dgs.convert(tmp_path / "a.dgs", tmp_path / "b.splat"),
+    ]
+    for way in ways:
+        with pytest.warns(UserWarning) as heard:
+            way()
+        said = [str(warning.message) for warning in heard]
+        assert len(said) == 2 and all(loss in found for loss, found in zip(losses, said, strict=True)), said
+        # It names the line that saves.
+        assert {pathlib.Path(warning.filename).name for warning in heard} == {"test_scene.py"}
+    # Without harmonics, none are left out.
+    plain = dgs.Scene.from_arrays(**arrays() | {"shN": None})
+    plain.save(tmp_path / "c.splat")
 
 
 def moving_triangle(path: pathlib.Path) -> None:
@@ -269,6 +328,25 @@ def test_files_that_are_not_there_or_not_whole(tmp_path: pathlib.Path) -> None:
         dgs.Scene.from_arrays(**arrays()).save(tmp_path / "a.obj")
     with pytest.raises(FileNotFoundError):
         dgs.Scene.from_arrays(**arrays()).save(tmp_path / "no" / "a.ply")
+
+
+def test_a_checkpoint_of_a_training_is_refused_with_what_reads_it(tmp_path: pathlib.Path) -> None:
+    for name in ("checkpoint.dgst", "renamed.dgs"):
+        path = tmp_path / name
+        path.write_bytes(b"DGSTRAIN" + bytes(100))
+        mistakes: list[Callable[[], object]] = [
+            lambda: dgs.Scene.load(path),
+            lambda: dgs.convert(path, tmp_path / "a.ply"),
+        ]
+        for mistake in mistakes:
+            with pytest.raises(ValueError, match=f"{name}: is a checkpoint of a training; dgs convert") as caught:
+                mistake()
+            assert not isinstance(caught.value, dgs.DamagedError)
+    assert not (tmp_path / "a.ply").exists()
+    # No more than its first bytes is damage.
+    (tmp_path / "short.dgst").write_bytes(b"DGSTRA")
+    with pytest.raises(dgs.DamagedError):
+        dgs.Scene.load(tmp_path / "short.dgst")
 
 
 def test_content_decides_before_the_ending(tmp_path: pathlib.Path) -> None:

@@ -4,7 +4,9 @@
 //! is `e² · Σ (∂I/∂value)²` over pixels and channels: the diagonal of the Gauss-Newton matrix. One
 //! backward pass with a random sign at every pixel and channel gives each value's `Σ ± ∂I/∂value`,
 //! whose square has that sum as its mean (source: Hutchinson 1990); pictures from all around are
-//! averaged. Errors of different values are independent, so that what they cost adds up.
+//! averaged. Errors of different values are independent, so that what they cost adds up. What a scene stands
+//! before is not known, and something is seen only where it differs from that: of each picture some channels
+//! are over black and the others over white, by turns.
 
 use codec_core::internals::gaussian::Gaussian;
 use render_host::{
@@ -55,7 +57,6 @@ pub fn measure(
 ) -> Result<Vec<Vec<Weights>>, EncodeError> {
     let pictures = pictures.max(1);
     let cameras = Framing::of(scene).around(pictures, SIZE).map_err(EvaluationError::from)?;
-    let settings = Settings { alpha_cutoff: CUTOFF, ..Settings::default() }.with_footprint(scene.footprint);
     let mut differentiator = backend.differentiator().map_err(EvaluationError::from)?;
     let mut gradients = Gradients::default();
     let (mut done, all) = (0, pictures * scene.epochs().len());
@@ -74,6 +75,7 @@ pub fn measure(
             let rest = instant.sh_degree.rest_len();
             for (k, camera) in cameras.iter().enumerate().skip(k_frame).step_by(frames_seen.len()) {
                 let signs = Signs { seed: k as u64 };
+                let settings = settings(k).with_footprint(scene.footprint);
                 report(progress, "analyse", done as f64 / all as f64)?;
                 done += 1;
                 differentiator
@@ -86,6 +88,12 @@ pub fn measure(
         out.push(weights);
     }
     Ok(out)
+}
+
+/// How picture `k` is drawn, but for the scene's footprint.
+fn settings(k: usize) -> Settings {
+    let background = std::array::from_fn(|channel| ((k + channel) % 2) as f32);
+    Settings { alpha_cutoff: CUTOFF, ..Settings::over(background) }
 }
 
 /// Adds one of `pictures` pictures' share to the weights of every Gaussian, which has `rest` values of
@@ -188,13 +196,12 @@ mod tests {
     /// their values, per squared unit: mean over pictures.
     fn change(plain: &Scene, changed: &Scene, by: f64, pictures: usize) -> f64 {
         let cameras = Framing::of(plain).around(pictures, SIZE).unwrap();
-        let settings = Settings { alpha_cutoff: CUTOFF, ..Settings::default() };
         let mut sum = 0.0;
-        for camera in &cameras {
+        for (k, camera) in cameras.iter().enumerate() {
             let draw = |scene: &Scene| {
                 let instant = scene.instant(0).unwrap();
                 let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree).unwrap();
-                Renderer::new().render(&splats, camera, &settings).unwrap().image
+                Renderer::new().render(&splats, camera, &settings(k)).unwrap().image
             };
             let (a, b) = (draw(plain), draw(changed));
             let squares = a.rgb().iter().zip(b.rgb()).map(|(a, b)| f64::from(a - b).powi(2));
@@ -253,6 +260,26 @@ mod tests {
         // Its opacity is not as unimportant as its colour.
         assert!(weights[3][3] > 0.02 * weights[2][3]);
         assert_eq!(weights[0][5], 0.0);
+    }
+
+    /// Black over black and white over white are not seen, and are over the other.
+    #[test]
+    fn no_colour_hides_what_an_error_shows() {
+        let of = |colour: f32| {
+            let coloured = scene(|a| {
+                let Track::Constant(colours) = &mut a.sh0 else { panic!("one frame") };
+                colours.fill([(colour - 0.5) / 0.282_094_8; 3]);
+            });
+            measure(&coloured, 8, &Backend::Cpu, &no_progress).unwrap()[0][0]
+        };
+        let [black, grey, white] = [0.0, 0.5, 1.0].map(of);
+        // Position and opacity: of a half from both, or from one of them all and from the other nothing.
+        for class in [0, 3] {
+            for colour in [black, white] {
+                let ratio = colour[class] / grey[class];
+                assert!((1.0..4.0).contains(&ratio), "class {class}: {ratio}");
+            }
+        }
     }
 
     #[test]

@@ -10,7 +10,11 @@ use render_host::{
 };
 use serde::Serialize;
 
-use super::{model::Model, pixel_mask::PixelMask, views::Views};
+use super::{
+    model::Model,
+    pixel_mask::PixelMask,
+    views::{PosedPhotograph, Views},
+};
 use crate::scene::Instant;
 
 /// PSNR of a picture that is its photograph value for value, dB; none counts more.
@@ -90,7 +94,7 @@ pub struct Compared {
 
 impl Compared {
     /// Whether some of it is compared.
-    fn counts(&self) -> bool {
+    pub(super) fn counts(&self) -> bool {
         self.counted.as_ref().is_none_or(|mask| mask.values().contains(&255))
     }
 
@@ -160,6 +164,16 @@ pub fn compare<S>(
 ) -> Result<Compared, EvaluationError> {
     let count = views.photographs().len();
     let view = views.photographs().get(index).ok_or(EvaluationError::Index { index, count })?;
+    compare_view(scene, view, reduced, background)
+}
+
+/// As [`compare`], of one view.
+pub(super) fn compare_view(
+    scene: &dyn DynamicScene,
+    view: &PosedPhotograph,
+    reduced: u32,
+    background: [f32; 3],
+) -> Result<Compared, EvaluationError> {
     if reduced == 0 {
         return Err(EvaluationError::Reduced(reduced));
     }

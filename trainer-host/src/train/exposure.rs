@@ -9,7 +9,7 @@
 use std::{collections::BTreeMap, sync::Mutex};
 
 use rayon::prelude::*;
-use render_host::{Image, ImageError, Loss};
+use render_host::{Image, ImageError, Loss, adjoint::loss::photograph::Photograph};
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -38,7 +38,7 @@ struct Exposure {
 
 /// Which exposure each training view has, by the place that it was taken from. None at a `rate` of 0; of one
 /// place, whose exposure is the mean; of photographs with outlines, which are drawn and not taken; and unless
-/// there are two photographs per place or more: one alone would explain by its exposure what it shows.
+/// there are two photographs of every place or more: one alone would explain by its exposure what it shows.
 pub(super) fn of_views(dataset: &Dataset, rate: f32) -> Vec<usize> {
     let mut places = BTreeMap::new();
     let of_view = |view: &PosedPhotograph| {
@@ -46,7 +46,9 @@ pub(super) fn of_views(dataset: &Dataset, rate: f32) -> Vec<usize> {
         *places.entry(view.camera.centre().map(f64::to_bits)).or_insert(next)
     };
     let exposures: Vec<usize> = dataset.train.photographs().iter().map(of_view).collect();
-    let is_rig = (2..=exposures.len() / 2).contains(&count(&exposures));
+    let mut photographs = vec![0; count(&exposures)];
+    exposures.iter().for_each(|&exposure| photographs[exposure] += 1);
+    let is_rig = photographs.len() > 1 && photographs.iter().all(|&of_place| of_place > 1);
     if rate == 0.0 || dataset.has_alpha || !is_rig { Vec::new() } else { exposures }
 }
 
@@ -93,6 +95,25 @@ impl Exposures {
     /// Whether all numbers are finite: what was read from a file may not be so.
     pub(super) fn is_sound(&self) -> bool {
         self.exposures.iter().all(|exposure| exposure.numbers.is_sound(NUMBERS, 1))
+    }
+}
+
+impl PosedPhotograph {
+    /// The photograph that a camera would have taken which has no exposure of its own, where this one has these
+    /// factors of r g b and these offsets in display values; what that makes darker than black or brighter
+    /// than white is cut off.
+    #[must_use]
+    pub fn without_exposure(&self, [factors, offsets]: [[f32; 3]; 2]) -> Self {
+        let (width, height) = (self.photograph.width(), self.photograph.height());
+        let mut rgba = self.photograph.rgba().to_vec();
+        for pixel in rgba.chunks_exact_mut(4) {
+            for ((value, factor), offset) in pixel.iter_mut().zip(factors).zip(offsets) {
+                let neutral = (f32::from(*value) / 255.0 - offset) / factor;
+                *value = (neutral.clamp(0.0, 1.0) * 255.0).round() as u8;
+            }
+        }
+        let photograph = Photograph::new(width, height, rgba);
+        Self { photograph: photograph.unwrap_or_else(|_| self.photograph.clone()), ..self.clone() }
     }
 }
 
@@ -160,7 +181,7 @@ impl Exposed<'_> {
 
 #[cfg(test)]
 mod tests {
-    use render_host::adjoint::loss::Mse;
+    use render_host::{Camera, adjoint::loss::Mse};
 
     use super::*;
 
@@ -195,6 +216,32 @@ mod tests {
             let slope = (value(1e-2) - value(-1e-2)) / 2e-2;
             assert!((slope - found).abs() < 2e-3 * slope.abs() + 1e-6, "{k}: {slope} {found}");
         }
+    }
+
+    #[test]
+    fn a_photograph_without_its_exposure_is_that_of_a_neutral_camera() {
+        let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 0.7, 16, 16).unwrap();
+        let of = |rgba: Vec<u8>| PosedPhotograph {
+            name: "a".to_owned(),
+            camera: camera.clone(),
+            time: 0.5,
+            photograph: Photograph::new(16, 16, rgba).unwrap(),
+            foreground: None,
+            counted: None,
+        };
+        let scene: Vec<u8> = (0..16 * 16).flat_map(|k: u32| [(k % 200) as u8, 40, 120, 255]).collect();
+        let exposure = [[0.7, 1.2, 1.0], [0.1, -0.05, 0.0]];
+        let as_taken = |(at, &value): (usize, &u8)| match at % 4 {
+            3 => value,
+            c => ((f32::from(value) / 255.0 * exposure[0][c] + exposure[1][c]) * 255.0).round() as u8,
+        };
+        let taken = of(scene.iter().enumerate().map(as_taken).collect());
+        let neutral = taken.without_exposure(exposure);
+        let apart = neutral.photograph.rgba().iter().zip(&scene).map(|(a, b)| a.abs_diff(*b)).max();
+        assert!(apart <= Some(1), "{apart:?}");
+        // What it makes darker than black is black.
+        assert_eq!(taken.without_exposure([[1.0; 3], [1.0; 3]]).photograph.rgba()[..4], [0, 0, 0, 255]);
+        assert_eq!(neutral.time, 0.5);
     }
 
     #[test]

@@ -17,12 +17,12 @@ use render_host::Differentiator;
 use serde::{Deserialize, Serialize};
 
 use self::coding::Coding;
+pub(super) use self::importance::Pictures;
 use super::{
     error::TrainError,
     gaussians::TrainedGaussians,
     model::Model,
     options::{Finish, TrainOptions},
-    views::{Training, Views},
 };
 use crate::{
     encode::{self, Decisions, EncodeError, EncodeOptions, Target},
@@ -101,17 +101,16 @@ impl Finishing {
         options: &TrainOptions,
         progress: f64,
         model: &Model,
-        views: &Views<Training>,
-        size_of: impl Fn(usize) -> (u32, u32),
+        pictures: Pictures<'_>,
         differentiator: &mut Differentiator,
     ) -> Result<Option<Vec<usize>>, TrainError> {
-        let (finish, ended) = (&options.finish, options.schedule.density_end);
-        let due = |at: &f64| *at < 1.0 && progress >= at.max(ended);
+        let finish = &options.finish;
+        let due = |at: &f64| *at < 1.0 && progress >= *at;
         let is_due = finish.prune > 0.0 && finish.prune_at.get(self.prunings.len()).is_some_and(due);
         if self.decisions.is_some() || !is_due {
             return Ok(None);
         }
-        let errors = importance::removal_errors(model, views, size_of, differentiator)?;
+        let errors = importance::removal_errors(model, pictures, differentiator)?;
         let needed = importance::most_needed(&errors, finish.prune);
         let of_needed: f64 = needed.iter().map(|&index| errors[index]).sum();
         let all = errors.iter().sum::<f64>().max(f64::MIN_POSITIVE);

@@ -68,8 +68,8 @@ pub struct TrainOptions {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Finish {
-    /// Shares of the training, in order, at which Gaussians that pictures hardly need are removed, once
-    /// density control has ended; 1: never.
+    /// Shares of the training, in order, at which Gaussians that pictures hardly need are removed; 1: never.
+    /// At least [`Schedule::density_end`]. From `round_from` on nothing is removed.
     pub prune_at: [f64; 2],
     /// Share of the Gaussians that each pruning removes.
     pub prune: f64,
@@ -397,6 +397,11 @@ impl TrainOptions {
         real("schedule.harmonics_every", harmonics_every as f32, 0.25, "0 to 0.25")?;
         self.finish.validate(real)?;
         let (round_from, density_end) = (self.finish.round_from, density_end);
+        let [pruned_from, _] = self.finish.prune_at;
+        if self.finish.prune > 0.0 && pruned_from < 1.0 && pruned_from < density_end {
+            let allowed = format!("0 to {pruned_from} (finish.prune_at[0])");
+            return refuse("schedule.density_end", density_end.to_string(), allowed);
+        }
         if round_from < density_end {
             let allowed = format!("{density_end} (schedule.density_end) to 1");
             return refuse("finish.round_from", round_from.to_string(), allowed);

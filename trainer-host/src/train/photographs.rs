@@ -64,6 +64,10 @@ impl<'a> Pyramid<'a> {
         out
     }
 
+    pub(super) fn originals(&self) -> &'a [PosedPhotograph] {
+        self.originals
+    }
+
     pub(super) fn schedule(&self) -> &Sizes {
         &self.sizes
     }
@@ -85,6 +89,11 @@ impl<'a> Pyramid<'a> {
         self.reduced[view].get(size).unwrap_or(&self.originals[view].photograph)
     }
 
+    /// Which pixels of the photograph count, where not all do.
+    pub(super) fn counted(&self, view: usize, size: usize) -> Option<&PixelMask> {
+        self.counted[view].get(size)
+    }
+
     /// `loss`, of pixels of the photograph that count.
     pub(super) fn where_counted<'b>(
         &'b self,
@@ -92,7 +101,7 @@ impl<'a> Pyramid<'a> {
         size: usize,
         loss: PhotographLoss<'b>,
     ) -> Result<PhotographLoss<'b>, ImageError> {
-        match self.counted[view].get(size) {
+        match self.counted(view, size) {
             Some(mask) => loss.with_pixel_weights(mask.values()),
             None => Ok(loss),
         }

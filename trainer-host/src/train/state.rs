@@ -85,12 +85,18 @@ impl State {
         Pcg64Mcg::seed_from_u64(seed ^ attempt.wrapping_mul(0x9E37_79B9_7F4A_7C15))
     }
 
+    /// From the next step on the loss is another, and its mean begins anew: a rise to it is no divergence.
+    pub(super) fn begin_another_loss(&mut self) {
+        (self.mean_loss, self.lowest_loss) = (f64::NAN, f64::INFINITY);
+    }
+
     /// What is wrong with the loss of a step, if anything is. Follows its mean.
     pub(super) fn divergence(&mut self, loss: f64) -> Option<String> {
         if !loss.is_finite() {
             return Some("the loss is not a number".to_owned());
         }
-        self.mean_loss = if self.step == 0 { loss } else { 0.99 * self.mean_loss + 0.01 * loss };
+        let begins = self.step == 0 || self.mean_loss.is_nan();
+        self.mean_loss = if begins { loss } else { 0.99 * self.mean_loss + 0.01 * loss };
         let limit = (10.0 * self.lowest_loss + 0.1).min(self.lowest_loss + MAX_RISE);
         if self.mean_loss > limit {
             return Some(format!("the mean loss rose from {:.4} to {:.4}", self.lowest_loss, self.mean_loss));

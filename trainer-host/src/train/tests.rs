@@ -16,6 +16,7 @@ mod harmonics;
 mod masked;
 mod residual;
 mod seen;
+mod still;
 
 /// How far apart two devices may train the same scene in a few steps, dB.
 const TRAINED_TOLERANCE_DB: f64 = 0.1;
@@ -92,30 +93,6 @@ fn a_scene_for_pixels_is_right_at_other_sizes() {
 }
 
 /// Of balls over a floor the floor stands still and the balls do not: pictures of training views decide.
-#[test]
-fn what_does_not_move_is_stood_still() {
-    let dataset = dataset(synth::SynthKind::Balls, 8, 12);
-    let with =
-        |stand_still_within: f32| trained(&dataset, &TrainOptions { stand_still_within, ..options() }, 1500);
-    let (standing, moving) = (with(0.04), with(0.0));
-    let model = standing.model();
-    let still = model.standing();
-    assert!(still > model.gaussians() / 10 && still < model.gaussians(), "{still} of {}", model.gaussians());
-    assert_eq!(moving.model().standing(), 0);
-    let psnr = |trainer: &Trainer| evaluate(&*trainer.model(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db;
-    let (standing_db, moving_db) = (psnr(&standing), psnr(&moving));
-    assert!(standing_db > moving_db - 0.3, "{standing_db} {moving_db}");
-
-    let trial = freeze::Trial { views: &dataset.train, reduced: 1, background: [0.0; 3] };
-    // Nothing bears that the balls hang in the air.
-    let mut model = moving.model().into_owned();
-    let before = model.clone();
-    assert_eq!(freeze::freeze_still(&mut model, 1e3, &trial).unwrap(), 0);
-    assert_eq!(model, before);
-    // Without a look at pictures everything would.
-    assert_eq!(model.freeze_still(1e3), model.gaussians());
-}
-
 /// Half of the time each channel is over the opposite background: an outline is found, and not only colours
 /// that explain one of the two.
 #[test]
@@ -398,6 +375,10 @@ fn options_out_of_range_and_empty_splits_are_refused_by_name() {
         (
             Finish { prune_at: [0.9, 0.7], ..Finish::default() },
             "finish.prune_at[1] is 0.7; finish.prune_at[0] to 1",
+        ),
+        (
+            Finish { prune_at: [0.5, 0.7], ..Finish::default() },
+            "schedule.density_end is 0.6; 0 to 0.5 (finish.prune_at[0])",
         ),
     ] {
         let text = TrainOptions { finish, ..options() }.validate().unwrap_err().to_string();

@@ -5,6 +5,7 @@
 //! the training). The same views, options and shares give the same scene bit for bit, on any number of
 //! threads.
 
+mod fallback;
 mod results;
 
 use rand::RngExt;
@@ -22,7 +23,7 @@ use super::{
     density::{self, Region, ViewGradients},
     error::TrainError,
     exposure::{self, Exposed, Exposures, NUMBERS},
-    finish::{Encoding, Finisher},
+    finish::{Encoding, Finisher, Pictures},
     freeze::{self, Trial},
     gaussians::TrainedGaussians,
     model::Model,
@@ -33,7 +34,7 @@ use super::{
     photographs::Pyramid,
     schedule,
     start::{self, Extent},
-    state::{MAX_ROLLBACKS, State},
+    state::State,
     step_report::StepReport,
     view_order::ViewOrder,
     views::{Dataset, Training, Views},
@@ -42,10 +43,6 @@ use crate::{encode::EncodeOptions, scene::Instant};
 
 /// Steps between two controls of density.
 const DENSITY_EVERY: u32 = 100;
-/// Steps between two checks that every number is finite.
-const CHECK_EVERY: u32 = 100;
-/// Checks between two states to fall back to.
-const KEEP_EVERY: u32 = 5;
 /// Steps before which what hardly moves may not have learnt to.
 const STAND_STILL_FROM: u32 = 1000;
 /// Steps between two searches for what moves together.
@@ -270,18 +267,26 @@ impl<'a> Trainer<'a> {
     /// Prunes, or begins to round, where the schedule says so.
     fn finish(&mut self, progress: f64) -> Result<(), TrainError> {
         let State { model, finishing, pull, neighbourhoods, average, size, .. } = &mut self.state;
-        let size_of = |view| self.pyramid.size(view, *size);
-        let differentiator = &mut self.memory.differentiator;
         let options = &self.options;
-        let needed = finishing.pruned(options, progress, model, self.views, size_of, differentiator)?;
-        if let Some(needed) = needed {
-            model.select(&needed);
-            neighbourhoods.select(&needed);
+        let pictures = Pictures {
+            photographs: &self.pyramid,
+            size: *size,
+            background: options.background,
+            varies: self.has_alpha && options.schedule.opposite_end > 0.0,
+        };
+        let needed = finishing.pruned(options, progress, model, pictures, &mut self.memory.differentiator)?;
+        if let Some(needed) = &needed {
+            model.select(needed);
+            neighbourhoods.select(needed);
             *pull = ViewGradients::none(needed.len());
             *average = None;
         }
-        if finishing.rounding_due(&options.finish, progress) {
+        let rounds = finishing.rounding_due(&options.finish, progress);
+        if rounds {
             self.finisher.encode_first(&options.finish, model, finishing)?;
+        }
+        if needed.is_some() || rounds {
+            self.state.begin_another_loss();
         }
         Ok(())
     }
@@ -439,9 +444,12 @@ impl<'a> Trainer<'a> {
         }
         self.state.stands += 1;
         let reduced = self.pyramid.divisor(self.state.size);
-        let trial = Trial { views: self.views, reduced, background: self.options.background };
+        let State { model, exposures, .. } = &mut self.state;
+        let exposure_of = |view: usize| self.exposures.get(view).map(|&index| exposures.get(index));
+        let (views, background) = (self.views, self.options.background);
+        let trial = Trial { views, exposure_of: &exposure_of, reduced, background };
         let most = self.options.stand_still_within * self.region.extent.half_side as f32;
-        freeze::freeze_still(&mut self.state.model, most, &trial)?;
+        freeze::freeze_still(model, most, &trial)?;
         // They hold none that stands still, and are found anew; the average is of what moved.
         self.state.neighbourhoods = Neighbourhoods::default();
         self.state.average = None;
@@ -457,39 +465,5 @@ impl<'a> Trainer<'a> {
         } else {
             *average = None;
         }
-    }
-
-    /// Notes what the next step is taken at, and from time to time remembers the state to fall back to.
-    fn keep(&mut self, progress: f64) {
-        self.state.progress = progress;
-        if self.is_to_keep() {
-            self.fallback = self.state.clone();
-        }
-    }
-
-    /// Whether the state is one to fall back to.
-    fn is_to_keep(&self) -> bool {
-        let step = self.state.step;
-        step > self.fallback.step && step.is_multiple_of(CHECK_EVERY * KEEP_EVERY)
-    }
-
-    /// From time to time checks that every number is finite.
-    fn find_divergence(&self) -> Option<String> {
-        if self.state.model.gaussians() == 0 {
-            return Some("no Gaussian is left".to_owned());
-        }
-        let is_due = self.state.step.is_multiple_of(CHECK_EVERY);
-        (is_due && !self.state.model.is_sound()).then(|| "a parameter is not a number".to_owned())
-    }
-
-    /// Falls back to the state before, with half the rates from then on; gives up where that was done often.
-    fn rollback(&mut self, step: u32, what: &str) -> Result<(), TrainError> {
-        let rollbacks = self.state.rollbacks + 1;
-        self.state = State { rollbacks: rollbacks.min(MAX_ROLLBACKS), ..self.fallback.clone() };
-        self.finisher.take_up(&self.state.finishing, self.state.model.gaussians())?;
-        if rollbacks > MAX_ROLLBACKS {
-            return Err(TrainError::Diverged { step, what: what.to_owned(), rollbacks: MAX_ROLLBACKS });
-        }
-        Ok(())
     }
 }

@@ -140,6 +140,46 @@ fn a_stream_plays_in_a_block_of_the_size_that_it_requires_and_in_none_shorter() 
     }
 }
 
+/// A caller that knows nothing but what errors say, and begins with a block that holds neither the packets
+/// that come early, nor the manifest, nor the frames.
+#[test]
+fn memory_that_grows_by_what_errors_say_is_soon_enough() {
+    let (message, _) = stream();
+    let exact = exact_block().len();
+    for plays in [false, true] {
+        let (mut lines, mut refusals) = (1, 0);
+        loop {
+            let mut memory = vec![Line([0xa5; 16]); lines];
+            let (mut bytes, mut error) = (0, none());
+            let status = match open(&mut memory, &caps()) {
+                // SAFETY: the player is open and its memory lives; pointers from references.
+                Ok(player) => unsafe {
+                    if plays {
+                        dgs_manifest(player, message.as_ptr(), message.len(), &mut error)
+                    } else {
+                        dgs_required(player, message.as_ptr(), message.len(), &mut bytes, &mut error)
+                    }
+                },
+                Err(found) => {
+                    error = found;
+                    found.status
+                }
+            };
+            if status == DGS_OK {
+                break;
+            }
+            refusals += 1;
+            assert_eq!((status, error.status), (DGS_CAPACITY, DGS_CAPACITY), "{}", field(&error));
+            assert_eq!((error.found, error.most), (16 * lines as u64, error.least), "{}", field(&error));
+            assert!(error.least > error.found && error.least.is_multiple_of(16), "{error:?}");
+            lines = (error.least / 16) as usize;
+        }
+        // The block for early packets, the manifest, the frames; nothing is asked for twice or in vain.
+        assert_eq!(refusals, if plays { 3 } else { 2 });
+        assert!(lines <= exact, "{lines} lines of {exact}");
+    }
+}
+
 /// As codec-core does by default.
 #[cfg(feature = "paper-context")]
 #[test]

@@ -94,3 +94,69 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Progress<S> {
         Pin::new(&mut self.stream).poll_shutdown(cx)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::task::Waker;
+
+    use tokio::{runtime::Builder, time::sleep};
+
+    use super::*;
+
+    const BOUND: Duration = Duration::from_millis(200);
+
+    /// A peer that takes so many bytes more.
+    struct Narrow {
+        room: usize,
+    }
+
+    impl AsyncWrite for Narrow {
+        fn poll_write(
+            mut self: Pin<&mut Self>,
+            _cx: &mut Context<'_>,
+            bytes: &[u8],
+        ) -> Poll<io::Result<usize>> {
+            let taken = self.room.min(bytes.len());
+            self.room -= taken;
+            if taken > 0 { Poll::Ready(Ok(taken)) } else { Poll::Pending }
+        }
+
+        fn poll_flush(self: Pin<&mut Self>, _cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+            Poll::Ready(Ok(()))
+        }
+
+        fn poll_shutdown(self: Pin<&mut Self>, _cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+            Poll::Ready(Ok(()))
+        }
+    }
+
+    /// What becomes of a write to a peer that takes `room` bytes.
+    fn write(progress: &mut Progress<Narrow>, room: usize) -> Poll<io::Result<usize>> {
+        progress.stream.room = room;
+        Pin::new(progress).poll_write(&mut Context::from_waker(Waker::noop()), &[0; 2 * MIN_BYTES])
+    }
+
+    /// Nothing here depends on how long a pause really takes: the peer makes room before anybody looks.
+    #[test]
+    fn who_takes_enough_may_take_long_in_all_and_who_does_not_is_given_up() {
+        Builder::new_current_thread().enable_time().build().unwrap().block_on(async {
+            let mut progress = Progress::new(Narrow { room: 0 }, BOUND);
+            // Twice the bound, never without progress.
+            for _ in 0..20 {
+                assert!(write(&mut progress, 0).is_pending());
+                sleep(BOUND / 10).await;
+                assert!(matches!(write(&mut progress, MIN_BYTES), Poll::Ready(Ok(MIN_BYTES))));
+            }
+            // What is too little in all is as good as nothing.
+            assert!(write(&mut progress, 0).is_pending());
+            for _ in 0..2 {
+                assert!(matches!(write(&mut progress, MIN_BYTES / 2 - 1), Poll::Ready(Ok(_))));
+            }
+            sleep(2 * BOUND).await;
+            match write(&mut progress, 0) {
+                Poll::Ready(Err(error)) => assert_eq!(error.kind(), io::ErrorKind::TimedOut),
+                other => panic!("{other:?}"),
+            }
+        });
+    }
+}

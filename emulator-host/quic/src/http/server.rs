@@ -15,7 +15,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use serde::Serialize;
 use tokio::{
     net::{TcpListener, TcpStream},
-    sync::watch,
+    sync::{Semaphore, watch},
     task::JoinSet,
     time::{sleep, timeout},
 };
@@ -157,27 +157,24 @@ impl HttpServer {
     /// Serves until `stop` ends. Answers that have begun are ended, within two seconds, before this returns.
     pub async fn run(self, stop: impl Future<Output = ()>) -> HttpReport {
         let mut report = HttpReport::default();
-        let places = PerAddress::new(self.limits.max_connections_per_address);
+        let places = Arc::new(Semaphore::new(self.limits.max_connections.min(Semaphore::MAX_PERMITS)));
+        let of_address = PerAddress::new(self.limits.max_connections_per_address);
         let mut tasks = JoinSet::new();
         let (closing, closes) = watch::channel(false);
         let mut stop = std::pin::pin!(stop);
         loop {
             tokio::select! {
                 accepted = self.listener.accept() => match accepted {
-                    Ok(_) if tasks.len() >= self.limits.max_connections => report.turned_away += 1,
                     Ok((stream, address)) => {
-                        let Some(place) = places.take(address.ip()) else {
+                        let place = places.clone().try_acquire_owned().ok();
+                        let Some(place) = place.zip(of_address.take(address.ip())) else {
                             report.turned_away += 1;
                             continue;
                         };
                         report.connections += 1;
                         let (site, entrance) = (self.site.clone(), self.entrance.clone());
                         let answering = Answering { site, entrance, address, counts: self.counts.clone() };
-                        let serving = serve(stream, answering, self.limits, closes.clone());
-                        tasks.spawn(async move {
-                            serving.await;
-                            drop(place);
-                        });
+                        tasks.spawn(serve(stream, answering, self.limits, closes.clone(), place));
                     }
                     // No memory or no file handle is free, or the client is gone already.
                     Err(_) => sleep(EXHAUSTED).await,
@@ -218,12 +215,13 @@ impl Answering {
     }
 }
 
-/// One connection from its first request to its last.
+/// One connection from its first request to its last, which gives `place` back.
 async fn serve(
     stream: TcpStream,
     answering: Answering,
     limits: HttpLimits,
     mut closes: watch::Receiver<bool>,
+    place: impl Send,
 ) {
     // What is written is whole answers; nothing is gained by waiting for more.
     let _ = stream.set_nodelay(true);
@@ -239,6 +237,8 @@ async fn serve(
             connection.await
         }
     };
+    // Before the connection is dropped: a client that sees it closed finds room for another.
+    drop(place);
     let Err(error) = served else { return };
     if error.is_timeout() || is_stall(&error) {
         answering.counts.slow.fetch_add(1, Ordering::Relaxed);

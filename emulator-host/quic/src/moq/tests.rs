@@ -31,7 +31,7 @@ const LIMIT: Duration = Duration::from_secs(120);
 /// How long a player waits for what is meant to come, seconds: a busy machine takes its time.
 const PATIENCE_S: u64 = 20;
 /// How long it waits for media where nothing of use is meant to come: then playout begins without any.
-const SHORT_WAIT: Nanos = Nanos::from_s(2);
+const SHORT_WAIT: Nanos = Nanos::from_s(6);
 
 /// A small stream of a few frames.
 fn stream() -> Stream {
@@ -201,6 +201,6 @@ fn what_is_longer_than_any_packet_is_not_read_and_numbers_out_of_reach_do_no_har
 
 #[test]
 fn a_broadcast_without_a_manifest_is_as_good_as_none() {
-    let error = played_by(&[], |config| config.silence = Duration::from_secs(2)).whole().unwrap_err();
+    let error = played_by(&[], |config| config.silence = Duration::from_secs(6)).whole().unwrap_err();
     assert!(matches!(error, PlayError::Unpublished { .. }), "{error}");
 }

@@ -157,8 +157,10 @@ async fn session(
         Err(error) => Err(error),
     };
     let result = result.map_err(|error| match closed(error, &connection) {
-        // Both ends of the wait are the same: the transport's and the one for a manifest.
-        PlayError::Lost(Closed::Connection(ConnectionError::TimedOut)) if !playback.has_manifest() => {
+        // Both ends of the wait are the same: the transport's, and the one for a manifest or a grant.
+        PlayError::Lost(Closed::Connection(ConnectionError::TimedOut))
+            if !playback.has_manifest() || playback.awaits_grant() =>
+        {
             PlayError::Silence { ms: config.silence.as_millis() }
         }
         error => error,

@@ -21,7 +21,7 @@ use self::{
 use super::{
     message::{ClientMessage, Conditions, Granted},
     screen::{FrameShown, FrameSink, PlayReport, RoundRequest},
-    served_stream::{frame_at, start_before, starts, time_us},
+    served_stream::{frame_at, middle_us, start_before, starts, time_us},
     settings::{ClientConfig, PlayError},
 };
 
@@ -375,6 +375,9 @@ impl Playback {
         };
         if !waits && self.receiver.start_if_ready(now, is_usable) {
             self.wants_receipt = true;
+            if self.report.grows {
+                screen.begun(middle_us(self.first + self.receiver.next_frame(), self.interval));
+            }
             if self.report.startup_ms.is_none() {
                 self.report.startup_ms = Some(self.began.elapsed().as_secs_f64() * 1e3);
                 self.report.startup_reached = self.receiver.threshold_reached();

@@ -21,6 +21,10 @@ pub trait FrameSink {
     /// The manifest has come: a DGSM message, which was taken.
     fn manifest(&mut self, _message: &[u8]) {}
 
+    /// Playout of a stream that grows begins, or goes on elsewhere: with the frame that shows at `time_us`,
+    /// microseconds of the clip, whatever was asked for.
+    fn begun(&mut self, _time_us: u64) {}
+
     /// A datagram of media has come, whatever became of it.
     fn media(&mut self, _packet: &[u8]) {}
 

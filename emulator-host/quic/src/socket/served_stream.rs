@@ -8,7 +8,10 @@ use std::{
 use bytes::Bytes;
 use codec_core::{
     file,
-    internals::wire::{manifest::Manifest, packet::Head},
+    internals::wire::{
+        manifest::{Manifest, Profile},
+        packet::Head,
+    },
 };
 use dgs_player::Stream;
 use emulator_host::{
@@ -83,7 +86,8 @@ impl Content {
     ) -> Result<Self, ServedStreamError> {
         let long = |(_, packet): &(usize, &Vec<u8>)| packet.len() > MAX_MEDIA_BYTES;
         if let Some((id, packet)) = stream.packets().iter().enumerate().find(long) {
-            return Err(ServedStreamError::Packet { name: name.to_owned(), id, found: packet.len() });
+            let (name, found, remedy) = (name.to_owned(), packet.len(), remedy(stream));
+            return Err(ServedStreamError::Packet { name, id, found, remedy });
         }
         let packets = stream.packets().iter().map(|packet| Bytes::copy_from_slice(packet)).collect();
         Ok(Self::new(packets, graph, Some(newest)))
@@ -150,7 +154,7 @@ pub enum ServedStreamError {
         name: String,
     },
     /// A packet does not fit a datagram of every path.
-    #[error("{name}: packet {id} has {found} bytes, allowed 1 to {MAX_MEDIA_BYTES} (encode --packet-bytes)")]
+    #[error("{name}: packet {id} has {found} bytes, allowed 1 to {MAX_MEDIA_BYTES} ({remedy})")]
     Packet {
         /// The stream.
         name: String,
@@ -158,6 +162,8 @@ pub enum ServedStreamError {
         id: usize,
         /// Its length.
         found: usize,
+        /// What makes a stream of shorter packets, for people.
+        remedy: &'static str,
     },
     /// The bytes of a packet are none of a packet.
     #[error("{name}: packet {id} is no DGSP packet")]
@@ -196,7 +202,8 @@ impl ServedStream {
             let id = graph.wire_id(PacketIndex(at as u32)).index();
             let found = stream.packets().get(id).map_or(0, Vec::len);
             if !(1..=MAX_MEDIA_BYTES).contains(&found) {
-                return Err(ServedStreamError::Packet { name: named(), id, found });
+                let remedy = remedy(stream);
+                return Err(ServedStreamError::Packet { name: named(), id, found, remedy });
             }
         }
         let format = |error| ServedStreamError::Format { name: named(), error };
@@ -307,6 +314,16 @@ impl ServedStream {
     }
 }
 
+/// What makes a stream as `stream` of shorter packets: the option is for profile `dgs1` alone.
+fn remedy(stream: &Stream) -> &'static str {
+    match stream.manifest().map(|manifest| manifest.profile()) {
+        Ok(Profile::Paper) => {
+            "longer packets of profile paper are not served; dgs encode --profile dgs1 makes shorter ones"
+        }
+        Ok(Profile::Dgs1) | Err(_) => "dgs encode --packet-bytes makes shorter ones",
+    }
+}
+
 /// When `frame` begins, in whole microseconds: at most one before it does.
 pub(super) fn time_us(frame: u32, interval: Nanos) -> u64 {
     let nanos = u128::from(frame) * u128::from(interval.0);
@@ -409,6 +426,18 @@ mod tests {
         // From the start on it is the whole.
         let whole = super::tail(&graph, 0).unwrap();
         assert_eq!((whole.groups(), whole.packets()), (graph.groups(), graph.packets()));
+    }
+
+    #[test]
+    fn a_remedy_is_one_that_the_profile_of_the_stream_has() {
+        let file = |bytes: &[u8]| Stream::from_bytes(bytes).unwrap().0;
+        let paper = file(include_bytes!("../../../../codec-core/tests/conformance/paper.dgs"));
+        let graph = Synthetic { frames: 90, ..Synthetic::default() }.build(1).unwrap();
+        let error = ServedStream::live("paper", &paper, graph, 0).unwrap_err().to_string();
+        assert!(error.contains("has 1230 bytes, allowed 1 to 1150"), "{error}");
+        assert!(error.contains("--profile dgs1") && !error.contains("--packet-bytes"), "{error}");
+        let dgs1 = file(include_bytes!("../../../../codec-core/tests/conformance/one.dgs"));
+        assert!(remedy(&dgs1).contains("--packet-bytes"));
     }
 
     /// Sixty frames a second are no whole number of microseconds.

@@ -7,6 +7,8 @@ use render_host::{Gaussian, Settings, render};
 use super::{overlay::SH0, *};
 
 const FILE: &[u8] = include_bytes!("../../../../codec-core/tests/conformance/everything.dgs");
+/// One without stand-ins: nothing of it is seen before a packet has come.
+const BARE_FILE: &[u8] = include_bytes!("../../../../codec-core/tests/conformance/paper.dgs");
 
 fn session() -> Session {
     let (session, damage) = Session::open(FILE).unwrap();
@@ -285,6 +287,83 @@ fn a_server_learns_what_came_and_its_bases_have_a_moment() {
         let start = session.round_start_s(share * duration);
         assert!(start >= 0.0 && start <= share * duration, "{share}: {start}");
     }
+}
+
+#[test]
+fn of_a_stream_that_grows_it_is_known_whether_a_window_has_come() {
+    let stream = Stream::from_bytes(FILE).unwrap().0;
+    let mut session = Session::new(stream.message()).unwrap();
+    assert!(session.has_come(), "of a file all comes");
+    session.set_live();
+    let frames = session.player().info().frames;
+    let come = |session: &mut Session| {
+        let has_come = |frame: &u32| {
+            session.playback_mut().seek(f64::from(*frame) / 10.0);
+            assert_eq!(session.playback().frame(), *frame);
+            session.has_come()
+        };
+        (0..frames).filter(has_come).count()
+    };
+    let mut counts = vec![come(&mut session)];
+    for packet in stream.packets().iter().filter(|packet| !packet.is_empty()) {
+        session.push(packet);
+        counts.push(come(&mut session));
+    }
+    let all = frames as usize;
+    assert!(counts[0] == 0 && counts.is_sorted() && counts.last() == Some(&all), "{counts:?}");
+    assert!(counts.iter().any(|&count| count > 0 && count < all), "window after window: {counts:?}");
+}
+
+/// What a person or an address has chosen stays.
+#[test]
+fn a_camera_that_found_nothing_looks_again_unless_its_view_was_chosen() {
+    let (mut whole, _) = Session::open(BARE_FILE).unwrap();
+    whole.look_at_all(1.5, Up::default()).unwrap();
+    let (expected, up) = (*whole.orbit(), Up::named("minus-z").unwrap());
+    whole.look_again(1.0).unwrap();
+    assert_eq!(*whole.orbit(), expected, "it was sure");
+    let packets: Vec<_> = {
+        let stream = Stream::from_bytes(BARE_FILE).unwrap().0;
+        stream.packets().iter().filter(|packet| !packet.is_empty()).cloned().collect()
+    };
+    for is_chosen in [false, true] {
+        let mut session = Session::new(crate::message(BARE_FILE).unwrap().unwrap()).unwrap();
+        session.fetch(BARE_FILE.len() as u64);
+        session.look_at_all(1.5, Up::default()).unwrap();
+        let nowhere = *session.orbit();
+        assert_ne!(nowhere.numbers()[3..], expected.numbers()[3..]);
+        session.look_again(1.5).unwrap();
+        assert_eq!(*session.orbit(), nowhere);
+        if is_chosen {
+            session.orbit_mut().turn(40.0, 0.0, 600.0);
+        } else {
+            *session.orbit_mut() = nowhere.with_up(up);
+        }
+        let chosen = *session.orbit();
+        while let Wanted::Range(range) = session.wanted() {
+            session.take(range.start, &BARE_FILE[range.start as usize..range.end as usize]);
+            session.look_again(1.5).unwrap();
+        }
+        if is_chosen {
+            assert_eq!(session.orbit().numbers(), chosen.numbers());
+            assert_eq!(session.orbit().home(1.5), expected, "the way back is to what has come");
+        } else {
+            assert_eq!(*session.orbit(), expected.with_up(up));
+        }
+        session.orbit_mut().zoom(2.0);
+        let moved = *session.orbit();
+        session.look_again(1.5).unwrap();
+        assert_eq!(*session.orbit(), moved, "it looks no more");
+    }
+    // Of what a server sends: the first packets show something, the whole base is looked at once more.
+    let mut session = Session::new(crate::message(BARE_FILE).unwrap().unwrap()).unwrap();
+    session.set_live();
+    session.look_at_all(1.5, Up::default()).unwrap();
+    for packet in &packets {
+        session.push(packet);
+        session.look_again(1.5).unwrap();
+    }
+    assert!(session.levels().unwrap()[0] == 0 && session.orbit().numbers()[3..] != [0.0; 3]);
 }
 
 /// Ranks of values; those of equals are the mean of theirs.

@@ -1,6 +1,7 @@
 //! A decoder takes packets and gives Gaussians of a frame, packed for the device: in a worker, or where the
 //! page is.
 
+use dgs_player::Damage;
 use js_sys::Float32Array;
 use render_host::gpu::Packed;
 use wasm_bindgen::prelude::*;
@@ -29,6 +30,12 @@ impl Decoder {
     }
 }
 
+/// What of a file could not be used, for people: packets that somebody left out are no damage (SPEC.md,
+/// section 12).
+fn sentence(damage: &Damage) -> String {
+    if damage.is_none() { String::new() } else { damage.to_string() }
+}
+
 /// Gaussians of a frame, packed.
 #[wasm_bindgen]
 #[derive(Debug)]
@@ -52,7 +59,7 @@ impl Decoder {
     /// The `.dgs` file of these bytes.
     pub fn open(file: &[u8]) -> Result<Decoder, JsError> {
         let (session, damage) = Session::open(file)?;
-        Ok(Self::of(session, damage.to_string()))
+        Ok(Self::of(session, sentence(&damage)))
     }
 
     /// A file of `length` bytes that begins with `first`, which hold its manifest; the rest is `wanted`.
@@ -123,7 +130,7 @@ impl Decoder {
     /// Takes the whole file after all.
     #[wasm_bindgen(js_name = takeWhole)]
     pub fn take_whole(&mut self, file: &[u8]) -> Result<(), JsError> {
-        self.damage = self.session.take_whole(file)?.to_string();
+        self.damage = sentence(&self.session.take_whole(file)?);
         Ok(())
     }
 
@@ -172,6 +179,12 @@ impl Decoder {
     #[wasm_bindgen(getter)]
     pub fn base_timeout(&self) -> f64 {
         self.session.base_timeout_s()
+    }
+
+    /// Whether anything has come of what is shown at the frame.
+    #[wasm_bindgen(getter, js_name = hasCome)]
+    pub fn has_come(&self) -> bool {
+        self.session.has_come()
     }
 
     /// Frames whose base a clock waits for: first and past of each range.
@@ -250,10 +263,10 @@ impl Decoder {
         vec![came as f64, decoded as f64, self.session.delivered_bytes() as f64]
     }
 
-    /// Where the Gaussians of the frame are: their middle (3), and a radius.
+    /// Where the Gaussians of the frame are: their middle (3), and a radius; nothing if none of them is seen.
     pub fn bounds(&mut self) -> Result<Vec<f64>, JsError> {
         self.packed = None;
-        let (middle, radius) = self.session.bounds()?;
+        let Some((middle, radius)) = self.session.bounds()? else { return Ok(Vec::new()) };
         *self.session.orbit_mut() = Orbit::around(middle, radius, 1.0, Up::default());
         let [x, y, z] = middle;
         Ok(vec![x, y, z, radius])

@@ -18,6 +18,12 @@ fn file() -> Vec<u8> {
     fs::read(path).unwrap()
 }
 
+/// A file without stand-ins: nothing of it is seen before its base has come.
+fn bare_file() -> Vec<u8> {
+    let path = format!("{}/../../codec-core/tests/conformance/paper.dgs", env!("CARGO_MANIFEST_DIR"));
+    fs::read(path).unwrap()
+}
+
 fn options() -> WindowOptions {
     WindowOptions {
         name: "fox".into(),
@@ -68,6 +74,52 @@ fn a_file_comes_in_pieces_as_it_is_wished_for() {
     let session = engine.session.as_ref().unwrap();
     assert!(requests > 0 && session.loaded() == 1.0, "{requests} requests");
     assert_eq!(session.packets().0, Session::open(&file).unwrap().0.packets().0);
+}
+
+/// Where a stream that grows begins, its server says; and who pauses it stays.
+#[test]
+fn a_stream_that_grows_is_shown_from_where_it_begins_and_once() {
+    let (feeder, feed) = feed();
+    let mut engine = Engine::new(WindowOptions { playing: false, ..options() }, feed);
+    let stream = dgs_player::Stream::from_bytes(&file()).unwrap().0;
+    let begun = |engine: &mut Engine, time_s: f64| {
+        feeder.arrivals.send(Arrival::Begin(time_s)).unwrap();
+        engine.tick(0.0, None, SIZE).unwrap();
+        engine.session.as_ref().map(|session| session.playback().time_s())
+    };
+    assert_eq!(begun(&mut engine, 0.5), None, "of no stream");
+    feeder.arrivals.send(Arrival::Manifest(stream.message().to_vec())).unwrap();
+    assert_eq!(begun(&mut engine, 0.5), Some(0.5));
+    assert_eq!(begun(&mut engine, 0.7), Some(0.5), "paused");
+    engine.act(Act::Toggle, SIZE).unwrap();
+    assert_eq!(begun(&mut engine, 0.7), Some(0.7));
+    assert!(!engine.session.as_ref().unwrap().playback().looping());
+    // Another one begins anew, and a file repeats.
+    engine.play("other".into(), Feed::file(file()));
+    engine.tick(0.0, None, SIZE).unwrap();
+    let playback = engine.session.as_ref().unwrap().playback();
+    assert!(playback.looping() && playback.time_s() == 0.0 && !engine.begun);
+}
+
+/// What there was nothing of at first is looked at when it has come.
+#[test]
+fn the_camera_finds_what_comes_in_pieces() {
+    let file = bare_file();
+    let (mut whole, _) = Session::open(&file).unwrap();
+    options().apply(&mut whole, SIZE).unwrap();
+    let (feeder, feed) = feed();
+    let mut engine = Engine::new(options(), feed);
+    let (first, length) = (file[..2000].to_vec(), file.len() as u64);
+    feeder.arrivals.send(Arrival::Front { bytes: first, length }).unwrap();
+    engine.tick(0.0, None, SIZE).unwrap();
+    let view = |engine: &Engine| engine.session.as_ref().unwrap().orbit().numbers();
+    assert_eq!(view(&engine)[3..], [0.0; 3]);
+    while let Ok(FeedRequest::Bytes(range)) = feeder.requests.try_recv() {
+        let bytes = file[range.start as usize..range.end as usize].to_vec();
+        feeder.arrivals.send(Arrival::Piece { at: range.start, bytes }).unwrap();
+        engine.tick(0.0, None, SIZE).unwrap();
+    }
+    assert_eq!(view(&engine), whole.orbit().numbers());
 }
 
 #[test]

@@ -6,7 +6,11 @@ mod overload;
 mod relay;
 pub(super) mod serving;
 
-use std::time::{Duration, Instant};
+use std::{
+    cell::Cell,
+    rc::Rc,
+    time::{Duration, Instant},
+};
 
 use anyhow::{Context, Result, ensure};
 use dgs::{
@@ -168,20 +172,21 @@ fn watch(runtime: &Runtime, config: &ClientConfig, viewers: usize) -> Result<(Ve
         // Players are not sent between threads once they play; one thread carries them all.
         let local = tokio::task::LocalSet::new();
         let tasks: Vec<_> = tasks.into_iter().map(|task| local.spawn_local(task)).collect();
-        let peak = local.spawn_local(async {
-            let mut peak = resident_bytes();
-            for _ in 0..20 {
+        let peak = Rc::new(Cell::new(resident_bytes()));
+        let seen = Rc::clone(&peak);
+        let watching = local.spawn_local(async move {
+            loop {
                 tokio::time::sleep(Duration::from_millis(100)).await;
-                peak = resident_bytes().zip(peak).map(|(now, peak): (f64, f64)| now.max(peak));
+                seen.set(resident_bytes().zip(seen.get()).map(|(now, peak)| now.max(peak)));
             }
-            peak
         });
         let played = async {
             let mut played = Vec::new();
             for task in tasks {
                 played.push(task.await.context("a viewer failed")??);
             }
-            anyhow::Ok((played, peak.await.context("memory")?))
+            watching.abort();
+            anyhow::Ok((played, peak.get()))
         };
         local.run_until(played).await
     })

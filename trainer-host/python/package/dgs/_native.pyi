@@ -102,7 +102,7 @@ class Camera:
 class Scene:
     """Gaussians over frames, with cameras where the source has some.
 
-    It does not change, so that its copies are itself. It is not pickled: save it as .4dgs and load it.
+    It does not change, so that its copies are itself. It is not pickled: pickle its arrays, ``scene.at(frame)``.
     """
 
     @staticmethod
@@ -118,7 +118,9 @@ class Scene:
         max_gaussians: int = 5000000,
         up: _Axis | None = None,
     ) -> Scene:
-        """Reads whatever ``dgs import`` reads, or a .dgs file; content decides before the ending.
+        """Reads the files and folders that ``dgs import`` reads, or a .dgs file; content decides before the ending.
+
+        Checkpoints of trainings (.dgst) are refused: ``dgs convert`` makes scenes of them that are read.
 
         ``fps`` is for sources that do not say, by default 30. ``samples``, ``clip`` (name or number from 0, by default
         the first) and ``seed`` are for animated meshes.
@@ -181,10 +183,14 @@ class Scene:
         """Writes the scene as the ending says.
 
         .ply, .compressed.ply, .spz, .splat, .sog, .glb and .gltf hold the one ``frame`` (.gltf with a .bin of the
-        same name beside it, which must not be there yet), a folder without an ending
-        every frame as a PLY and a sequence.json with their rate, .4dgs all of it, .dgs all of it as :func:`encode` writes it by default. The scene is turned to
-        the axes that are usual in the format unless ``keep_axes``; .dgs keeps them, and says which is up. A file
-        needs a Gaussian, a frame of a folder does not.
+        same name beside it, which must not be there yet), a folder without an ending every frame as a PLY and a
+        sequence.json with their rate, .4dgs every frame, .dgs every frame as :func:`encode` writes it by default.
+        The scene is turned to the axes that are usual in the format unless ``keep_axes``; .dgs keeps them, and
+        says which is up. A file needs a Gaussian, a frame of a folder does not.
+
+        A UserWarning says what the format leaves out: harmonics (.splat), the footprint (.dgs alone holds each;
+        .spz and .sog "dilated" and "compensated", all others "dilated"). Cameras are in none of them, and values
+        beyond what a format holds are clamped.
         """
     def __len__(self) -> int: ...
     @property
@@ -378,4 +384,7 @@ def convert(
     keep_axes: bool = False,
     up: _Axis | None = None,
 ) -> None:
-    """Reads a scene and writes it as the ending of ``target`` says: ``Scene.load(source).save(target)``."""
+    """Reads a scene and writes it as the ending of ``target`` says: ``Scene.load(source).save(target)``.
+
+    It warns of what both warn of.
+    """

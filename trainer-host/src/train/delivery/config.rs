@@ -130,22 +130,23 @@ impl Default for ChannelRanges {
 }
 
 impl ChannelRanges {
-    /// The link of world `index` in `variant`. Variants of one loss have no deadline; the combined one takes
-    /// turns.
-    pub(super) fn link(&self, variant: Variant, index: usize, rng: &mut Pcg64) -> Link {
+    /// The link of the world of `number` in `variant`. Variants of one loss have no deadline; the combined one
+    /// takes turns: of three worlds that follow each other one has either loss and the third a deadline, with
+    /// either loss by turns.
+    pub(super) fn link(&self, variant: Variant, number: usize, rng: &mut Pcg64) -> Link {
         let mut draw = |[low, high]: [f64; 2]| low + (high - low) * rng.random::<f64>();
         let iid = LossModel::Iid { probability: draw(self.iid) };
         let burst = LossModel::Burst { share: draw(self.burst_share), length: draw(self.burst_length) };
         let limited = [draw(self.capacity), draw(self.round_trip_s), draw(self.deadline_s)];
         // Without a deadline nothing is sent again either: the losses are what is trained for.
         let endless = |loss| Link { capacity: 1.0, round_trip_s: 0.0, deadline_s: 1.0 + 1e-9, loss };
-        match (variant, index % 3) {
+        match (variant, number % 3) {
             (Variant::Reconstruction, _) => endless(LossModel::None),
             (Variant::Iid, _) | (Variant::Combined, 0) => endless(iid),
             (Variant::BurstCvar, _) | (Variant::Combined, 1) => endless(burst),
             (Variant::Combined, _) => {
                 let [capacity, round_trip_s, deadline_s] = limited;
-                let loss = if index.is_multiple_of(2) { iid } else { burst };
+                let loss = if (number / 3).is_multiple_of(2) { iid } else { burst };
                 Link { capacity, round_trip_s, deadline_s, loss }
             }
         }
@@ -182,7 +183,8 @@ impl Default for LearningRates {
 pub struct Validation {
     /// Every so many references are for validation, at least 2.
     pub every: usize,
-    /// States, half after independent losses of 5 % and half after bursts of as much; 0 to 10,000.
+    /// States, half after independent losses of 5 % and half after bursts of as much; 0 to 10,000, at least 1
+    /// where there are candidates.
     pub states: usize,
     /// Candidates, evenly over the updates after the warm-up, 0 to 1000; with 0 the last scene is taken as it
     /// is.
@@ -320,6 +322,9 @@ impl DeliveryOptions {
                 return refuse(field, &found, allowed);
             }
         }
+        if candidates > 0 && states == 0 {
+            return refuse("validation.states", &states, "1 to 10000 where validation.candidates is not 0");
+        }
         let (w, rates, c) = (&self.weights, &self.learning_rates, &self.channel);
         for (field, found) in [("warm_up", self.warm_up), ("weights.cvar_fraction", w.cvar_fraction)] {
             if !(0.0..=1.0).contains(&found) {
@@ -400,6 +405,7 @@ mod tests {
             (r#"{"views": 9999999}"#, "views is 9999999; 1 to 1000 is allowed"),
             (r#"{"updates": 1000001}"#, "updates is 1000001; 1 to 1000000 is allowed"),
             (r#"{"validation": {"states": 100000000000}}"#, "validation.states is 100000000000; 0 to 10000"),
+            (r#"{"validation": {"states": 0}}"#, "validation.states is 0; 1 to 10000 where"),
             (r#"{"validation": {"candidates": 1001}}"#, "validation.candidates is 1001; 0 to 1000"),
             (r#"{"warm_up": 1.5}"#, "warm_up is 1.5; 0 to 1"),
             (r#"{"weights": {"cvar": -1}}"#, "weights.cvar is -1; 0 to 1000"),
@@ -419,6 +425,19 @@ mod tests {
         std::fs::write(&path, most).unwrap();
         assert!(DeliveryOptions::read(path.to_str().unwrap()).is_ok());
         assert!(DeliveryOptions::read("no-such-name").unwrap_err().to_string().contains("no-such-name"));
+    }
+
+    #[test]
+    fn combined_worlds_take_turns_with_every_kind_of_link() {
+        let ranges = ChannelRanges { capacity: [2.0; 2], ..ChannelRanges::default() };
+        let kinds: Vec<(bool, bool)> = (0..6)
+            .map(|number| {
+                let link = ranges.link(Variant::Combined, number, &mut Pcg64::new(1, 7));
+                (link.capacity == 2.0, matches!(link.loss, LossModel::Burst { .. }))
+            })
+            .collect();
+        let [iid, burst] = [(false, false), (false, true)];
+        assert_eq!(kinds, [iid, burst, (true, false), iid, burst, (true, true)]);
     }
 
     #[test]

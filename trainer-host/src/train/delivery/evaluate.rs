@@ -3,6 +3,7 @@
 use render_host::{Settings, metric::mse};
 
 use super::{
+    Weights,
     coded::{Coded, Moving, no_change},
     error::DeliveryError,
     masks::{Masks, Sampler},
@@ -77,10 +78,11 @@ pub fn evaluate(
 ) -> Result<Evaluation, DeliveryError> {
     let parameters = no_change(scene);
     let coded = Coded::rewrite(scene, &parameters, decisions)?;
-    evaluate_coded(&coded.moving(scene, &parameters), masks, references)
+    evaluate_coded(&coded.moving(scene, &parameters), masks, references, Weights::default().structure)
 }
 
-/// As [`evaluate`], of a scene that is encoded.
+/// As [`evaluate`], of a scene that is encoded; steps of quality are compared by a D with this weight of
+/// `structure`.
 ///
 /// # Errors
 /// As [`evaluate`].
@@ -88,6 +90,7 @@ pub(super) fn evaluate_coded(
     moving: &Moving<'_>,
     masks: &Masks,
     references: &[Reference],
+    structure: f64,
 ) -> Result<Evaluation, DeliveryError> {
     let encoded = &moving.coded().encoded;
     let sampler = Sampler::new(&encoded.stream, super::config::LossUnit::Packet)?;
@@ -109,7 +112,7 @@ pub(super) fn evaluate_coded(
         worlds_db.iter_mut().zip(errors).for_each(|(sum, error)| *sum += share * psnr(error));
         let shared = SharedWorlds::new(moving, *frame, &prefixes)?;
         let found = shared.measured(camera, &settings, |image| {
-            Ok((distortion(image, picture, 0.20)?, mse(image, picture)?))
+            Ok((distortion(image, picture, structure)?, mse(image, picture)?))
         })?;
         clean_db += share * found.last().map_or(0.0, |(_, error)| psnr(*error));
         of_prefixes.iter_mut().zip(found).for_each(|(sum, (d, _))| *sum += share * d);

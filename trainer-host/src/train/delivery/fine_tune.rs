@@ -149,7 +149,7 @@ pub fn resume(
         }
         if run.is_candidate(update) {
             let moving = coded.moving(scene, &at.parameters);
-            let found = evaluate_coded(&moving, &validation_masks, &validation)?;
+            let found = evaluate_coded(&moving, &validation_masks, &validation, options.weights.structure)?;
             let candidate = Candidate {
                 updates: update,
                 violations: found.violations,
@@ -348,7 +348,8 @@ impl Training<'_> {
         let (options, recorded) = (self.options, self.recorded.at(self.view(update, view).frame));
         let (worlds, first) = (options.worlds, view * options.worlds);
         let rng = |index| random(options.seed, Purpose::Training, update, first + index);
-        self.sampler.worlds(variant, &options.channel, (worlds, options.clean()), recorded, rng)
+        let counts = (worlds, options.clean(), update * options.views + view);
+        self.sampler.worlds(variant, &options.channel, counts, recorded, rng)
     }
 
     /// Hash of the worlds of `updates`: those of one picture are drawn at a time, as there are too many for

@@ -182,13 +182,14 @@ impl Sampler {
         self.map.state(|id| have[id])
     }
 
-    /// The states of one update's worlds, as `variant` has them: `worlds` of them, the first `clean` complete
+    /// The states of a picture's worlds, as `variant` has them: `worlds` of them, the first `clean` complete
     /// where it has clean anchors. `recorded` states take turns with the variant's own where there are any.
+    /// Turns go on from picture to picture, of which there were so many `before`.
     pub(super) fn worlds(
         &self,
         variant: Variant,
         ranges: &ChannelRanges,
-        (worlds, clean): (usize, usize),
+        (worlds, clean, before): (usize, usize, usize),
         recorded: &[Vec<u8>],
         rng: impl Fn(usize) -> Pcg64,
     ) -> Vec<Vec<u8>> {
@@ -197,10 +198,14 @@ impl Sampler {
             if index < clean && variant == Variant::Combined || variant == Variant::Reconstruction {
                 return self.complete.clone();
             }
-            if !recorded.is_empty() && variant == Variant::Combined && index.is_multiple_of(2) {
-                return recorded[rng.random_range(0..recorded.len())].clone();
+            let mut number = before * worlds.saturating_sub(clean) + index;
+            if !recorded.is_empty() && variant == Variant::Combined {
+                if number.is_multiple_of(2) {
+                    return recorded[rng.random_range(0..recorded.len())].clone();
+                }
+                number /= 2;
             }
-            let link = ranges.link(variant, index, &mut rng);
+            let link = ranges.link(variant, number, &mut rng);
             self.state(&link.delivered(&self.bytes, &mut rng))
         };
         (0..worlds).map(world).collect()
@@ -320,7 +325,7 @@ mod tests {
         let sampler = Sampler::new(&stream("dgs1"), LossUnit::Packet).unwrap();
         let ranges = ChannelRanges::default();
         let worlds = |variant, seed| {
-            sampler.worlds(variant, &ranges, (12, 3), &[], |i| random(seed, Purpose::Training, 0, i))
+            sampler.worlds(variant, &ranges, (12, 3, 0), &[], |i| random(seed, Purpose::Training, 0, i))
         };
         let complete = |states: &[Vec<u8>]| states.iter().filter(|s| **s == sampler.complete()).count();
         assert_eq!(complete(&worlds(Variant::Reconstruction, 1)), 12);
@@ -329,5 +334,13 @@ mod tests {
         assert_ne!(worlds(Variant::Iid, 1), worlds(Variant::Iid, 2));
         assert_ne!(worlds(Variant::Iid, 1), worlds(Variant::BurstCvar, 1));
         assert_eq!(worlds(Variant::Combined, 4), worlds(Variant::Combined, 4));
+        // Of one world per picture, too, every second one is recorded.
+        let recorded = [vec![1; sampler.complete().len()]];
+        let one = |before| {
+            let rng = |i| random(1, Purpose::Training, before, i);
+            sampler.worlds(Variant::Combined, &ranges, (1, 0, before), &recorded, rng).remove(0)
+        };
+        let is_recorded: Vec<bool> = (0..6).map(|before| one(before) == recorded[0]).collect();
+        assert_eq!(is_recorded, [true, false, true, false, true, false]);
     }
 }

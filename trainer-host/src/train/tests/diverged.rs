@@ -47,3 +47,24 @@ fn checkpoints_of_other_versions_are_refused_by_name() {
     let error = Checkpoint::from_bytes(&bytes).unwrap_err().to_string();
     assert_eq!(error, "version is 10; 14 is allowed");
 }
+
+/// What a pruning takes away, pictures lose at once: the schedule says so, and it is no divergence.
+#[test]
+fn a_pruning_that_takes_almost_all_is_no_divergence() {
+    let dataset = dataset(synth::SynthKind::Balls, 2, 12);
+    let finish = Finish { prune: 0.995, prune_at: [0.65, 1.0], round_from: 1.0, ..Finish::default() };
+    let mut trainer = Trainer::new(&dataset, &TrainOptions { finish, ..options() }).unwrap();
+    let (mut lowest, mut highest) = (f64::INFINITY, 0.0f64);
+    for step in 0..900 {
+        let report = trainer.step(f64::from(step) / 1000.0).unwrap();
+        assert_eq!(report.rollback, None);
+        if trainer.prunings().is_empty() {
+            lowest = lowest.min(report.mean_loss);
+        } else {
+            highest = highest.max(report.mean_loss);
+        }
+    }
+    let [Pruning { before, after, .. }] = *trainer.prunings() else { panic!("one pruning") };
+    assert!(after * 100 < before, "{before} to {after}");
+    assert!(highest > (10.0 * lowest + 0.1).min(lowest + 0.3), "as much as a divergence: {lowest} {highest}");
+}

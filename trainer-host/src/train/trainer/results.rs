@@ -44,6 +44,11 @@ impl Trainer<'_> {
         (0..self.state.exposures.len()).map(|index| self.state.exposures.get(index))
     }
 
+    /// That of the place which training view `view` was taken from; none where none are learnt.
+    pub fn exposure_of(&self, view: usize) -> Option<[[f32; 3]; 2]> {
+        self.exposures.get(view).map(|&index| self.state.exposures.get(index))
+    }
+
     /// Bytes that the canonical values of the stream are estimated to take, once they are rounded.
     pub fn estimated_bytes(&self) -> Option<f64> {
         self.finisher.estimated_bytes(&self.state.scene())

@@ -68,6 +68,18 @@ impl Viewer {
         }
     }
 
+    /// As [`Self::ask`] in three rounds from `round` on, and how long the fastest took: a busy machine may
+    /// hold one of them up.
+    async fn ask_thrice(&mut self, round: u32, conditions: Conditions) -> (Granted, Duration) {
+        let (granted, mut least) = self.ask(round, conditions).await;
+        for round in round + 1..round + 3 {
+            let (again, took) = self.ask(round, conditions).await;
+            assert_eq!(again, granted);
+            least = least.min(took);
+        }
+        (granted, least)
+    }
+
     async fn leave(mut self) {
         self.say(&ClientMessage::Bye).await;
         self.connection.closed().await;
@@ -91,18 +103,18 @@ fn a_viewer_gets_the_link_and_the_scheduler_that_it_asks_for_and_nobody_else_doe
         let all = Granted { link: true, scheduler: true };
         let (granted, took) = viewer.ask(1, by_dash(LONG_DELAY)).await;
         assert!(granted == all && took >= LONG_DELAY, "{granted:?} after {took:?}");
-        let (granted, took) = other.ask(1, Conditions::NONE).await;
+        let (granted, took) = other.ask_thrice(1, Conditions::NONE).await;
         assert!(granted == all && took < LONG_DELAY, "another viewer waits {took:?}");
-        let (granted, took) = viewer.ask(2, Conditions::NONE).await;
+        let (granted, took) = viewer.ask_thrice(2, Conditions::NONE).await;
         assert!(granted == all && took < LONG_DELAY, "{granted:?} after {took:?}");
         other.leave().await;
-        viewer.ask(3, late_by_dash()).await;
+        viewer.ask(5, late_by_dash()).await;
         viewer.leave().await;
         server.shows_every_frame().await;
         let (_, viewers) = server.stop().await;
         let schedulers: Vec<_> = viewers.iter().map(|viewer| viewer.scheduler).collect();
         assert_eq!(schedulers, ["layered", "dash", "layered"]);
-        assert_eq!((viewers[0].rounds, viewers[1].rounds), (2, 4));
+        assert_eq!((viewers[0].rounds, viewers[1].rounds), (4, 6));
     });
 }
 
@@ -112,14 +124,14 @@ fn a_server_that_lets_nobody_change_anything_says_so_and_goes_on() {
         let offer = ServedStream::new("everything", &stream(), graph(&stream())).unwrap();
         let server = Running::letting(false, ServerLimits::default(), offer);
         let mut viewer = Viewer::begin(&server).await;
-        let (granted, took) = viewer.ask(1, by_dash(LONG_DELAY)).await;
+        let (granted, took) = viewer.ask_thrice(1, by_dash(LONG_DELAY)).await;
         assert!(granted == Granted { link: false, scheduler: false } && took < LONG_DELAY, "{granted:?}");
         // The same round cannot begin twice.
-        viewer.say(&ClientMessage::Conditions { round: 1, start_us: 0, conditions: late_by_dash() }).await;
+        viewer.say(&ClientMessage::Conditions { round: 3, start_us: 0, conditions: late_by_dash() }).await;
         let ServerMessage::Refusal(refusal) = viewer.hear().await else { panic!() };
-        assert!(refusal.sentence.contains("allowed above 1"), "{refusal}");
+        assert!(refusal.sentence.contains("allowed above 3"), "{refusal}");
         let (_, viewers) = server.stop().await;
-        assert_eq!((viewers[0].scheduler, viewers[0].rounds), ("layered", 2));
+        assert_eq!((viewers[0].scheduler, viewers[0].rounds), ("layered", 4));
     });
 }
 
@@ -127,7 +139,8 @@ fn a_server_that_lets_nobody_change_anything_says_so_and_goes_on() {
 async fn played_late(may_change: bool) -> (PlayReport, ViewerReport) {
     let offer = ServedStream::new("everything", &stream(), graph(&stream())).unwrap();
     let server = Running::letting(may_change, ServerLimits::default(), offer);
-    let config = ClientConfig { conditions: Some(late_by_dash()), ..server.client() };
+    let mut config = ClientConfig { conditions: Some(late_by_dash()), ..server.client() };
+    config.startup.max_wait = Nanos::from_s(20);
     let report = play(&config, &mut NullSink, std::future::pending()).await.whole().unwrap();
     let (_, mut viewers) = server.stop().await;
     (report, viewers.remove(0))
@@ -238,6 +251,8 @@ fn another_connection_begins_under_the_same_conditions() {
         let count = Arc::new(AtomicU32::new(0));
         let wishing = |config: &mut ClientConfig| {
             (config.conditions, config.reconnects) = (Some(late_by_dash()), 2);
+            // A connection that shows something would allow for more of them.
+            config.startup.max_wait = Nanos::from_s(20);
         };
         let played = played(counting(Arc::clone(&count), true), wishing).await;
         assert_eq!((played.report.connections, count.load(Ordering::Relaxed)), (3, 3));

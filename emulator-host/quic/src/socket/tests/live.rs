@@ -1,6 +1,9 @@
 //! A stream that grows is played as it comes, by those who were there before and by those who come late.
 
-use emulator_host::graph::Selection;
+use emulator_host::{
+    graph::Selection,
+    session::{Startup, StartupRule},
+};
 use tokio::task::LocalSet;
 
 use super::*;
@@ -23,7 +26,9 @@ fn what_comes_later_arrives_in_the_round_that_is_running() {
         let (none, empty) = part(0);
         let (offer, feed) = ServedStream::live("live", &none, empty, 0).unwrap();
         let server = Running::offering(ServerLimits::default(), offer);
-        let config = ClientConfig { start_us: u64::MAX, ..server.client() };
+        // Playout begins when all has come, on a busy machine too: the session ends with the clip.
+        let startup = Startup { rule: StartupRule::AfterWait, max_wait: Nanos::from_s(6) };
+        let config = ClientConfig { start_us: u64::MAX, startup, ..server.client() };
         let viewer = async {
             let played = play(&config, &mut NullSink, std::future::pending()).await;
             assert!(played.error.is_none(), "{:?}", played.error);

@@ -5,8 +5,9 @@ use std::{
     sync::atomic::{AtomicU32, Ordering},
 };
 
-use dgs_player::Caps;
+use dgs_player::{Caps, Player};
 use quinn::{RecvStream, SendStream};
+use tokio::sync::Notify;
 
 use super::*;
 use crate::socket::message::{Message as _, Refusal, RefusalCode, ServerMessage};
@@ -16,9 +17,59 @@ pub(super) type Talk = Pin<Box<dyn Future<Output = ()> + Send>>;
 /// How long a client waits where a server is to be left for its silence.
 pub(super) const SILENCE: Duration = Duration::from_millis(400);
 
+/// How much a client has taken and shown, for servers that wait for that.
+#[derive(Default)]
+struct Taken {
+    manifests: AtomicU32,
+    media: AtomicU32,
+    frames: AtomicU32,
+}
+
+struct Counting(Arc<Taken>);
+
+impl FrameSink for Counting {
+    fn show(&mut self, _player: &mut Player, _frame: u32) -> Result<(), String> {
+        self.0.frames.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    }
+
+    fn manifest(&mut self, _message: &[u8]) {
+        self.0.manifests.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn media(&mut self, _packet: &[u8]) {
+        self.0.media.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// So many so far.
+fn so_far(count: &AtomicU32) -> u32 {
+    count.load(Ordering::Relaxed)
+}
+
+/// Ends once there are `more` than `before`.
+async fn until(count: &AtomicU32, before: u32, more: usize) {
+    while so_far(count) < before + more as u32 {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}
+
 /// What the client makes of a server that answers a hello with `talk`. Unless `change` says otherwise the
 /// client waits long: a server on a busy machine is not silent because it takes its time.
 pub(super) async fn played<F>(talk: F, change: impl FnOnce(&mut ClientConfig)) -> Played
+where
+    F: Fn(Connection, SendStream, RecvStream) -> Talk + Send + 'static,
+{
+    played_until(talk, change, &Arc::default(), std::future::pending()).await
+}
+
+/// As [`played`], counted in `taken`, until `stop` ends.
+async fn played_until<F>(
+    talk: F,
+    change: impl FnOnce(&mut ClientConfig),
+    taken: &Arc<Taken>,
+    stop: impl Future<Output = ()>,
+) -> Played
 where
     F: Fn(Connection, SendStream, RecvStream) -> Talk + Send + 'static,
 {
@@ -37,7 +88,7 @@ where
     });
     let mut config = ClientConfig { reconnects: 0, ..client(address, &trust) };
     change(&mut config);
-    let played = play(&config, &mut NullSink, std::future::pending()).await;
+    let played = play(&config, &mut Counting(Arc::clone(taken)), stop).await;
     task.abort();
     played
 }
@@ -124,14 +175,19 @@ fn media_that_never_comes_and_media_that_is_none() {
 fn a_connection_that_is_lost_is_made_again_and_goes_on_where_it_was() {
     within(async {
         // Each connection ends after the manifest and half of the packets.
-        let talk = |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
+        let taken = Arc::new(Taken::default());
+        let watched = Arc::clone(&taken);
+        let talk = move |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
+            let watched = Arc::clone(&watched);
             Box::pin(async move {
+                let (manifests, media) = (so_far(&watched.manifests), so_far(&watched.media));
                 let _ = send.write_all(&manifest()).await;
                 for packet in stream().packets().iter().take(2) {
                     let _ = connection.send_datagram_wait(packet.clone().into()).await;
                 }
-                // Time for both to arrive: what is on its way when a connection closes is lost.
-                tokio::time::sleep(Duration::from_secs(1)).await;
+                // What is on its way when a connection closes is lost.
+                until(&watched.manifests, manifests, 1).await;
+                until(&watched.media, media, 2).await;
                 connection.close(0u32.into(), b"moved");
                 drop(receive);
             })
@@ -140,7 +196,7 @@ fn a_connection_that_is_lost_is_made_again_and_goes_on_where_it_was() {
             config.reconnects = 2;
             config.startup.max_wait = Nanos::from_s(20);
         };
-        let played = played(talk, twice).await;
+        let played = played_until(talk, twice, &taken, std::future::pending()).await;
         assert_eq!((played.report.connections, played.report.rounds), (3, 3));
         // Both packets are there once, however often they came.
         assert_eq!((played.report.packets, played.report.duplicates), (2, 4));
@@ -153,10 +209,13 @@ fn a_connection_that_is_lost_is_made_again_and_goes_on_where_it_was() {
 fn tries_to_reconnect_that_fail_are_no_rounds() {
     within(async {
         // Nobody answers whoever comes back.
-        let talk = |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
+        let taken = Arc::new(Taken::default());
+        let watched = Arc::clone(&taken);
+        let talk = move |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
+            let watched = Arc::clone(&watched);
             Box::pin(async move {
                 let _ = send.write_all(&manifest()).await;
-                tokio::time::sleep(Duration::from_secs(1)).await;
+                until(&watched.manifests, 0, 1).await;
                 connection.close(0u32.into(), b"moved");
                 drop(receive);
                 std::future::pending::<()>().await;
@@ -166,9 +225,9 @@ fn tries_to_reconnect_that_fail_are_no_rounds() {
             config.reconnects = 2;
             config.startup.max_wait = Nanos::from_s(20);
             // The first connection must be made within this, too.
-            config.silence = Duration::from_secs(3);
+            config.silence = Duration::from_secs(5);
         };
-        let played = played(talk, twice).await;
+        let played = played_until(talk, twice, &taken, std::future::pending()).await;
         assert!(matches!(played.error, Some(PlayError::Silence { .. })), "{:?}", played.error);
         assert_eq!((played.report.connections, played.report.rounds), (1, 1));
     });
@@ -179,19 +238,26 @@ fn a_stream_that_grows_is_reconnected_to_and_begins_where_the_server_says() {
     within(async {
         let connections = Arc::new(AtomicU32::new(0));
         let counted = Arc::clone(&connections);
+        let taken = Arc::new(Taken::default());
+        let watched = Arc::clone(&taken);
         let talk = move |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
             let is_first = counted.fetch_add(1, Ordering::Relaxed) == 0;
+            let watched = Arc::clone(&watched);
             Box::pin(async move {
-                let _ = send.write_all(&manifest()).await;
                 let begin = ServerMessage::Begin { round: 0, start_us: 1 }.to_bytes();
                 if is_first {
-                    let _ = send.write_all(&begin).await;
-                    for packet in stream().packets() {
-                        let _ = connection.send_datagram_wait(packet.clone().into()).await;
+                    // Together: whoever has taken the one hears of the other.
+                    let _ = send.write_all(&[manifest(), begin].concat()).await;
+                    let packets = stream().packets().to_vec();
+                    let count = packets.len();
+                    for packet in packets {
+                        let _ = connection.send_datagram_wait(packet.into()).await;
                     }
-                    tokio::time::sleep(Duration::from_millis(50)).await;
+                    until(&watched.manifests, 0, 1).await;
+                    until(&watched.media, 0, count).await;
                     connection.close(0u32.into(), b"moved");
                 } else {
+                    let _ = send.write_all(&manifest()).await;
                     // All is there by now, and where it begins is not said yet.
                     tokio::time::sleep(Duration::from_millis(100)).await;
                     let _ = send.write_all(&begin).await;
@@ -201,7 +267,8 @@ fn a_stream_that_grows_is_reconnected_to_and_begins_where_the_server_says() {
             })
         };
         let again = |config: &mut ClientConfig| config.reconnects = 1;
-        let report = played(talk, again).await.whole().unwrap();
+        let played = played_until(talk, again, &taken, std::future::pending()).await;
+        let report = played.whole().unwrap();
         assert_eq!((report.connections, connections.load(Ordering::Relaxed)), (2, 2));
         assert!(report.shown_count >= u64::from(report.frames), "{report:?}");
     });
@@ -213,22 +280,25 @@ fn another_stream_by_the_same_name_is_not_taken_for_the_one_before() {
     within(async {
         let other = include_bytes!("../../../../../codec-core/tests/conformance/made-extents.dgs");
         let other = Stream::from_bytes(other).unwrap().0;
-        let connections = Arc::new(AtomicU32::new(0));
+        let connections = AtomicU32::new(0);
+        let taken = Arc::new(Taken::default());
+        let watched = Arc::clone(&taken);
         let talk = move |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
             let is_first = connections.fetch_add(1, Ordering::Relaxed) == 0;
+            let watched = Arc::clone(&watched);
             let message = if is_first { stream().message().to_vec() } else { other.message().to_vec() };
             Box::pin(async move {
                 let _ = send.write_all(&ServerMessage::Manifest(message).to_bytes()).await;
                 if is_first {
-                    // Time for the manifest to arrive.
-                    tokio::time::sleep(Duration::from_secs(1)).await;
+                    until(&watched.manifests, 0, 1).await;
                     connection.close(0u32.into(), b"moved");
                 }
                 let _ = connection.closed().await;
                 drop(receive);
             })
         };
-        let played = played(talk, |config: &mut ClientConfig| config.reconnects = 1).await;
+        let again = |config: &mut ClientConfig| config.reconnects = 1;
+        let played = played_until(talk, again, &taken, std::future::pending()).await;
         assert!(matches!(played.error, Some(PlayError::Changed)), "{:?}", played.error);
         assert_eq!(played.report.connections, 2);
         assert_eq!(played.player.unwrap().info().packets as usize, stream().packets().len());
@@ -239,23 +309,32 @@ fn another_stream_by_the_same_name_is_not_taken_for_the_one_before() {
 #[test]
 fn a_connection_that_has_shown_something_is_one_that_can_be_made_again() {
     within(async {
-        let talk = |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
+        let (connections, enough) = (AtomicU32::new(0), Arc::new(Notify::new()));
+        let fourth = Arc::clone(&enough);
+        let taken = Arc::new(Taken::default());
+        let watched = Arc::clone(&taken);
+        let talk = move |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
+            if connections.fetch_add(1, Ordering::Relaxed) == 3 {
+                fourth.notify_one();
+            }
+            let watched = Arc::clone(&watched);
             Box::pin(async move {
+                let frames = so_far(&watched.frames);
                 let _ = send.write_all(&manifest()).await;
                 for packet in stream().packets() {
                     let _ = connection.send_datagram_wait(packet.clone().into()).await;
                 }
-                // Time to show something: two connections in a row that show nothing are the end.
-                tokio::time::sleep(Duration::from_secs(1)).await;
+                // Two connections in a row that show nothing are the end.
+                until(&watched.frames, frames, 1).await;
                 connection.close(0u32.into(), b"moved");
                 drop(receive);
             })
         };
         let for_long = |config: &mut ClientConfig| {
             (config.reconnects, config.loops) = (1, true);
-            config.duration = Some(Duration::from_secs(10));
+            config.duration = Some(Duration::from_secs(60));
         };
-        let report = played(talk, for_long).await.whole().unwrap();
+        let report = played_until(talk, for_long, &taken, enough.notified()).await.whole().unwrap();
         assert!(report.connections > 3, "{} connections", report.connections);
     });
 }

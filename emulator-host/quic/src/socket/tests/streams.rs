@@ -76,12 +76,20 @@ fn who_wishes_for_streams_gets_each_packet_in_one() {
         let expected = packets();
         let (_endpoint, connection, _send) = greeted(&server, &ClientMessage::Streams.to_bytes()).await;
         let most = expected.len().min(32);
-        let mut found = Vec::new();
-        while found.len() < most {
+        let (mut found, mut given_up) = (Vec::new(), 0);
+        while found.len() + given_up < most {
             let mut stream = connection.accept_uni().await.unwrap();
-            found.push(stream.read_to_end(2000).await.unwrap());
+            match stream.read_to_end(2000).await {
+                Ok(packet) => found.push(packet),
+                // What has not arrived within a second, on a busy machine.
+                Err(ReadToEndError::Read(ReadError::Reset(_))) => given_up += 1,
+                Err(error) => panic!("{error}"),
+            }
         }
-        assert!(found.iter().all(|packet| expected.contains(packet)), "each is one of the stream's");
+        assert!(
+            !found.is_empty() && found.iter().all(|packet| expected.contains(packet)),
+            "each is one of the stream's"
+        );
         let mut once = found.clone();
         once.sort();
         once.dedup();
@@ -108,9 +116,9 @@ fn narrow() -> Arc<TransportConfig> {
     Arc::new(transport)
 }
 
-/// The streams that the peer opens before it pauses for 300 ms, unread.
+/// The streams that the peer opens before it pauses for 300 ms, unread. The first may take its time.
 async fn opened(connection: &Connection) -> Vec<RecvStream> {
-    let mut streams = Vec::new();
+    let mut streams = vec![connection.accept_uni().await.unwrap()];
     let pause = Duration::from_millis(300);
     while let Ok(stream) = tokio::time::timeout(pause, connection.accept_uni()).await {
         streams.push(stream.unwrap());
@@ -157,7 +165,7 @@ fn what_does_not_arrive_is_bounded_by_congestion_control_and_given_up() {
         // Acknowledgements of the handshake may have widened the window.
         assert!((FIRST_WINDOW / 2..2 * FIRST_WINDOW).contains(&bytes), "{bytes} bytes are on their way");
         tokio::time::sleep(Duration::from_secs(1)).await;
-        let more = tokio::time::timeout(pause, media.send(&packet)).await;
+        let more = tokio::time::timeout(Duration::from_secs(5), media.send(&packet)).await;
         more.expect("what is given up makes no room").unwrap();
     });
 }

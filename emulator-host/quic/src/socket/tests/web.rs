@@ -111,7 +111,7 @@ fn what_is_no_webtransport_is_refused_by_name() {
     within(async {
         // Who says nothing must not wait long, and whoever says something must not be late.
         let limits = |hello_wait| ServerLimits { hello_wait, ..ServerLimits::default() };
-        let impatient = Running::start(limits(Duration::from_secs(2)));
+        let impatient = Running::start(limits(Duration::from_secs(5)));
         let server = Running::start(limits(PATIENCE));
         let mut bare = Vec::new();
         Settings::default().encode(&mut bare);
@@ -121,6 +121,8 @@ fn what_is_no_webtransport_is_refused_by_name() {
         let huge = head(Frame::HEADERS, 1 << 20);
         let get = [&head(Frame::HEADERS, 3)[..], &[0, 0, 0xd1]].concat();
         let (agreed, none) = (settings(), Vec::new());
+        // Those that are to be closed for their silence wait for it together.
+        let mut silent = Vec::new();
         // The settings stream, the request, and what begins the first stream of the session.
         for (settings, request, begin, code) in [
             (&none, &none, &none, RefusalCode::Silence),
@@ -138,7 +140,7 @@ fn what_is_no_webtransport_is_refused_by_name() {
             (&agreed, &connect(), &head(Frame::DATA, 0), RefusalCode::Message),
         ] {
             let addressed = if code == RefusalCode::Silence { &impatient } else { &server };
-            let (_endpoint, connection) = addressed.connect_by(Scheme::Https).await;
+            let (endpoint, connection) = addressed.connect_by(Scheme::Https).await;
             let mut control = connection.open_uni().await.unwrap();
             control.write_all(settings).await.unwrap();
             let mut streams = Vec::new();
@@ -147,7 +149,14 @@ fn what_is_no_webtransport_is_refused_by_name() {
                 send.write_all(bytes).await.unwrap();
                 streams.push((send, receive));
             }
+            if code == RefusalCode::Silence {
+                silent.push((endpoint, connection, control, streams));
+                continue;
+            }
             assert_eq!(closed_by(&connection).await, code, "{settings:?} {request:?} {begin:?}");
+        }
+        for (_, connection, ..) in &silent {
+            assert_eq!(closed_by(connection).await, RefusalCode::Silence);
         }
         server.shows_every_frame().await;
         let (report, viewers) = server.stop().await;

@@ -140,7 +140,7 @@ fn what_is_no_session_is_refused_by_name() {
     within(async {
         // Who says nothing must not wait long, and whoever says something must not be late.
         let limits = |hello_wait| ServerLimits { hello_wait, ..ServerLimits::default() };
-        let impatient = Running::start(limits(Duration::from_secs(2)));
+        let impatient = Running::start(limits(Duration::from_secs(5)));
         let server = Running::start(limits(PATIENCE));
         let (hurried, pages) = (Pages::start(&impatient), Pages::start(&server));
         let seek = ClientMessage::Seek { round: 1, start_us: 0 }.to_bytes();
@@ -191,7 +191,7 @@ fn floods_end_in_a_refusal() {
         }
         socket.flush().await.unwrap();
         // Those that came too fast were lost; the rest are too many all the same.
-        for _ in 0..20 {
+        for _ in 0..300 {
             for _ in 0..60 {
                 let _ = socket.feed(frame(1, b"\0\0\0\0no receipt")).await;
             }

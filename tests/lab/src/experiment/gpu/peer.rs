@@ -15,8 +15,8 @@ pub(super) use without::Peer;
 pub(super) fn absent() -> Option<String> {
     (!cfg!(feature = "gpu-peer")).then(|| {
         format!(
-            "{NAME} offscreen: not in this binary; `cargo run --release --features gpu-peer -- bench gpu` \
-                has it"
+            "{NAME} offscreen: not in this binary; \
+             `cargo run --profile dist -p dgs-lab --features gpu-peer -- gpu` has it"
         )
     })
 }

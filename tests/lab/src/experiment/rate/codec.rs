@@ -70,13 +70,13 @@ pub fn all(quick: bool) -> Vec<Codec> {
         codec("context-rans", CodecKind::Method, steps, ladder(&wide), 0, context::code),
         codec("ply-zstd", CodecKind::Public, "bits of a float", vec![32.0, 16.0], 19, plain::code),
         codec("spz-frames", CodecKind::Public, position, vec![1.0], 0, spz::code_frames),
-        codec("spz-zstd", CodecKind::Public, position, vec![1.0], 12, spz::code),
+        codec("spz-zstd", CodecKind::Public, position, vec![1.0], 19, spz::code),
         codec(
             "spz-delta-zstd",
             CodecKind::Public,
             position,
             ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]),
-            12,
+            19,
             spz::code_delta,
         ),
     ];

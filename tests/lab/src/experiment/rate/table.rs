@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     draw::curves::{Curve, Curves},
-    figures::{Bench, Figure, bootstrap95, mean},
+    figures::{Bench, Figure, mean, student95},
     setup::Setup,
 };
 
@@ -194,7 +194,7 @@ fn against(theirs: &[RatePoint], ours: &RateCurve) -> Result<(Difference, String
     Ok((Difference { log_ratio, overlap: [low, high] }, format!("at {} of its points", inside.len())))
 }
 
-/// Means over scenes with bootstrap intervals over scenes.
+/// Means over scenes with intervals over scenes by Student's t: a bootstrap of so few is too narrow.
 pub fn means(bench: &mut Bench, all: &[Compared]) {
     let mut names: Vec<&'static str> = Vec::new();
     all.iter().for_each(|c| {
@@ -208,7 +208,7 @@ pub fn means(bench: &mut Bench, all: &[Compared]) {
             return;
         }
         let mut figure = Figure::new(key, percent(mean(logs)), "% bits at equal PSNR, mean over scenes");
-        figure.ci95 = bootstrap95(logs, mean, 11).map(|ends| ends.map(percent));
+        figure.ci95 = student95(logs).map(|ends| ends.map(percent));
         figure.runs = Some(logs.len());
         bench.push(figure);
     };
@@ -232,7 +232,7 @@ pub fn means(bench: &mut Bench, all: &[Compared]) {
         counted.iter().filter(|c| c.kind == CodecKind::Paper && c.dynamic).map(|c| -c.log_ratio).collect();
     if !paper.is_empty() {
         let mut figure = Figure::new("mean.paper_over_dgs1.dynamic", mean(&paper).exp(), "× at equal PSNR");
-        figure.ci95 = bootstrap95(&paper, mean, 11).map(|ends| ends.map(f64::exp));
+        figure.ci95 = student95(&paper).map(|ends| ends.map(f64::exp));
         figure.runs = Some(paper.len());
         bench.push(figure);
     }

@@ -2,7 +2,7 @@
 
 use dgs::figures::mean;
 
-use crate::figures::bootstrap95;
+use crate::figures::student95;
 
 /// One window: its family, its trace, and one value per scheduler.
 #[derive(Clone, Debug)]
@@ -59,10 +59,11 @@ pub(super) fn families<T: Clone>(windows: &[Window<T>], gain: &dyn Fn(&Window<T>
     let mut counts = [0, 0, 0, names.len()];
     for name in names {
         let own: Vec<Window<T>> = windows.iter().filter(|window| window.family == name).cloned().collect();
-        // Within a family windows are what is drawn: few have more than one trace.
+        // Within a family windows are what is drawn: few have more than one trace. Student's t, as a
+        // bootstrap of a few values is too narrow.
         let gains: Vec<f64> = own.iter().map(gain).collect();
         counts[0] += usize::from(mean(&gains) > 0.0);
-        if let Some([low, high]) = bootstrap95(&gains, mean, 17) {
+        if let Some([low, high]) = student95(&gains) {
             counts[1] += usize::from(low > 0.0);
             counts[2] += usize::from(high < 0.0);
         }

@@ -13,7 +13,7 @@ use trainer_host::{
 };
 
 use crate::{
-    figures::{Bench, Figure, bootstrap95, mean},
+    figures::{Bench, Figure, mean, student95},
     setup::spread,
 };
 
@@ -25,7 +25,7 @@ const VIEWS: (usize, usize) = (3, 6);
 /// How it is measured.
 pub(super) const PROTOCOL: &str = "order: D of what the first 30 to 95 % of the bytes show, parity aside, \
      against the source's own render, 3 held-out cameras at 160x160, 6 frames; ratio of D ordered by gain to \
-     D ordered by the paper's risk-adjusted utility of the same table, geometric mean, interval over views";
+     D ordered by the paper's risk-adjusted utility of the same table, geometric mean, interval over frames";
 
 /// Adds the row of `key`.
 pub(super) fn measure(
@@ -41,18 +41,20 @@ pub(super) fn measure(
     parts.groups.iter_mut().for_each(|group| group.utility = group.risk_adjusted);
     let by_paper = PacketGraph::new(parts)?;
     let (gain, paper) = (study.distortions(&by_gain)?, study.distortions(&by_paper)?);
-    // Of each view, the mean over shares.
-    let views = VIEWS.0 * study.frames.len();
-    let logs: Vec<f64> = (0..views)
-        .map(|view| {
-            let log = |share: usize| (gain[share][view] / paper[share][view]).ln();
-            (0..SHARES.len()).map(log).sum::<f64>() / SHARES.len() as f64
+    // Of each frame, the mean over cameras and shares: cameras see the same at the same time.
+    let frames = study.frames.len();
+    let logs: Vec<f64> = (0..frames)
+        .map(|frame| {
+            let views = (0..VIEWS.0).map(|camera| camera * frames + frame);
+            let log = |share: usize, view: usize| (gain[share][view] / paper[share][view]).ln();
+            let all = views.flat_map(|view| (0..SHARES.len()).map(move |share| log(share, view)));
+            mean(&all.collect::<Vec<_>>())
         })
         .collect();
     let mut figure =
         Figure::new(format!("{key}.order.gain"), mean(&logs).exp(), "of D by the paper's utility");
-    figure.ci95 = bootstrap95(&logs, mean, 5).map(|interval| interval.map(f64::exp));
-    bench.push(figure.runs(views));
+    figure.ci95 = student95(&logs).map(|interval| interval.map(f64::exp));
+    bench.push(figure.runs(frames));
     Ok(())
 }
 
