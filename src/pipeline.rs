@@ -249,7 +249,7 @@ pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::EncodeOpt
             .map(Target::BitsPerGaussian)
             .or(args.target_bytes.map(Target::Bytes))
             .or(args.target_psnr.map(Target::PsnrDb)),
-        pictures: args.pictures,
+        pictures: args.pictures.unwrap_or(encode::EncodeOptions::default().pictures),
         search: args.search,
         packet_bytes: args.packet_bytes,
         repair: match args.repair_set {

@@ -7,7 +7,6 @@ use trainer_host::encode::Protection;
 use super::number::{coarseness, positive, real, repair_set, whole};
 
 const COARSENESS: f32 = 1.0;
-const PICTURES: usize = 16;
 const CLUSTER_SIZE: usize = 512;
 const BLOCK_LEN: usize = 64;
 const PACKET_BYTES: usize = 1150;
@@ -49,9 +48,9 @@ pub struct CodecArgs {
     )]
     pub target_psnr: Option<f64>,
     /// Pictures per epoch that tell how much an error in each Gaussian shows: steps follow (dgs1). 1 to
-    /// 1024; 0: the same steps for all.
-    #[arg(long, default_value_t = PICTURES, value_parser = whole::<usize>(0..=1024, "pictures"))]
-    pub pictures: usize,
+    /// 1024; 0: the same steps for all [default: 16; 0 where dgs train rounds values itself].
+    #[arg(long, value_parser = whole::<usize>(0..=1024, "pictures"))]
+    pub pictures: Option<usize>,
     /// Spend up to this many trial encodings, 4 to 500, on how attributes share the bits: fewer bytes at the
     /// same PSNR from validation cameras, or a higher one at a target size. Up to 8 more encodings then come
     /// back to that PSNR, or meet the target if one is given. 24 are a good start; 0 is no search.
@@ -103,7 +102,7 @@ impl CodecArgs {
             ("--target-bits-per-gaussian", self.target_bits_per_gaussian.is_some()),
             ("--target-bytes", self.target_bytes.is_some()),
             ("--target-psnr", self.target_psnr.is_some()),
-            ("--pictures", self.pictures != PICTURES),
+            ("--pictures", self.pictures.is_some()),
             ("--search", self.search != 0),
             ("--cluster-size", self.cluster_size != CLUSTER_SIZE),
             ("--block-len", self.block_len != BLOCK_LEN),
@@ -128,7 +127,7 @@ impl CodecArgs {
             ("--target-bits-per-gaussian", typed(self.target_bits_per_gaussian)),
             ("--target-bytes", typed(self.target_bytes)),
             ("--target-psnr", typed(self.target_psnr)),
-            ("--pictures", self.pictures.to_string()),
+            ("--pictures", typed(self.pictures)),
             ("--search", self.search.to_string()),
             ("--cluster-size", self.cluster_size.to_string()),
             ("--block-len", self.block_len.to_string()),

@@ -14,7 +14,6 @@ use dgs_player::{Caps, Damage, ErrorKind, FrameDecoder, Player, Result, Stream, 
 use render_host::Splats;
 
 use self::{
-    framing::Unframed,
     network::{Network, id_of},
     overlay::Painter,
     quality::{blocks_of, quality},
@@ -44,6 +43,17 @@ pub struct Shown<'s> {
     pub splats: Splats<'s>,
     /// Whether only what moves has changed since the last call: harmonics are as they were.
     pub only_moved: bool,
+}
+
+/// A camera that was placed before there was anything to look at.
+#[derive(Clone, Copy, Debug)]
+struct Unframed {
+    /// What it was placed as: another is somebody's choice.
+    placed: Orbit,
+    /// Packets that were decoded when Gaussians were looked for last.
+    decoded: usize,
+    /// Whether any have been found since.
+    found: bool,
 }
 
 /// One stream as a viewer has it open: what has come of it, its clock, its camera, its emulated network, and

@@ -242,8 +242,8 @@ impl Pictures<'_> {
     }
 }
 
-/// The stream of `scene`, fine-tuned on a backend towards `pictures` until a person asks to stop; and how many
-/// updates were made.
+/// The stream of `scene`, fine-tuned on a backend towards `pictures` until a person asks to stop; and how
+/// many updates were made.
 pub(super) fn fine_tuned(
     args: &Train,
     folder: &Folder,

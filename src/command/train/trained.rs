@@ -27,8 +27,8 @@ pub(super) struct Trained {
     /// Choices of the encoder that the training has made its own.
     pub(super) decisions: Option<Decisions>,
     pub(super) prunings: Vec<Pruning>,
-    /// By place of a camera (bits of its coordinates), factors of r g b and offsets that turn a picture of the
-    /// scene into one that was taken there; none where none were learnt.
+    /// By place of a camera (bits of its coordinates), factors of r g b and offsets that turn a picture of
+    /// the scene into one that was taken there; none where none were learnt.
     pub(super) exposures: BTreeMap<[u64; 3], [[f32; 3]; 2]>,
     pub(super) estimated_bytes: Option<f64>,
     /// Per epoch, what the training went on with, that as a receiver has it, and what it began with.
@@ -92,8 +92,8 @@ impl Trained {
         })
     }
 
-    /// `view` as a camera without an exposure of its own would have taken it: what the scene, which is the mean
-    /// of all cameras, is to be compared with.
+    /// `view` as a camera without an exposure of its own would have taken it: what the scene, which is the
+    /// mean of all cameras, is to be compared with.
     pub(super) fn neutral<'v>(&self, view: &'v PosedPhotograph) -> Cow<'v, PosedPhotograph> {
         match self.exposures.get(&place(view)) {
             Some(exposure) => Cow::Owned(view.without_exposure(*exposure)),
@@ -128,8 +128,8 @@ impl Trained {
         self.one_after_another(2)
     }
 
-    /// The same at the times of the frames that are encoded alone, as a receiver has it but for what is lost of
-    /// its motion.
+    /// The same at the times of the frames that are encoded alone, as a receiver has it but for what is lost
+    /// of its motion.
     pub(super) fn shown_in_frames(&self) -> impl DynamicScene {
         InFrames { scene: self.one_after_another(1), frames: self.scene.frames() }
     }
@@ -195,10 +195,10 @@ mod tests {
 
     use super::*;
 
-    /// A scene that says at which time it was asked for.
-    struct AskedAt;
+    /// A scene that says which time it is shown at.
+    struct ByTime;
 
-    impl DynamicScene for AskedAt {
+    impl DynamicScene for ByTime {
         fn pose(&self, time: f32, out: &mut Instant) {
             out.gaussians = vec![Gaussian {
                 position: [time; 3],
@@ -218,7 +218,7 @@ mod tests {
     fn of_every_time_the_nearest_frame_is_shown() {
         let at = |frames: usize, time: f32| {
             let mut instant = Instant::default();
-            InFrames { scene: AskedAt, frames }.pose(time, &mut instant);
+            InFrames { scene: ByTime, frames }.pose(time, &mut instant);
             instant.gaussians[0].position[0]
         };
         assert_eq!([0.0, 0.2, 0.3, 0.7, 0.8, 1.0].map(|t| at(3, t)), [0.0, 0.0, 0.5, 0.5, 1.0, 1.0]);

@@ -6,7 +6,7 @@ use std::{io::IsTerminal, time::Instant as Clock};
 use anyhow::{Context, Result, bail};
 use render_host::Backend;
 use trainer_host::{
-    encode::Protection,
+    encode::{EncodeOptions, Protection},
     train::{self, Checkpoint, Dataset, DensityControl, Encoding, Trainer},
 };
 
@@ -326,8 +326,11 @@ fn glance(trainer: &Trainer, dataset: &Dataset) -> Option<f64> {
 
 /// How the end of a training on `dataset` encodes, at so many frames per second.
 fn encoding_of(args: &Train, dataset: &Dataset, frames_per_second: f64) -> Encoding {
+    let options = pipeline::encode_options(&args.codec, Protection::NONE);
     Encoding {
-        options: pipeline::encode_options(&args.codec, Protection::NONE),
+        // A training makes up for its own rounding, whichever Gaussian it is of: where steps followed what
+        // shows, it would do so twice.
+        options: EncodeOptions { pictures: args.codec.pictures.unwrap_or(0), ..options },
         frames: args.frames.unwrap_or(dataset.frames),
         frames_per_second,
     }

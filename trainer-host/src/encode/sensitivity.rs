@@ -270,14 +270,15 @@ mod tests {
                 let Track::Constant(colours) = &mut a.sh0 else { panic!("one frame") };
                 colours.fill([(colour - 0.5) / 0.282_094_8; 3]);
             });
-            measure(&coloured, 8, &Backend::Cpu, &no_progress).unwrap()[0][0]
+            measure(&coloured, 96, &Backend::Cpu, &no_progress).unwrap()[0][0]
         };
         let [black, grey, white] = [0.0, 0.5, 1.0].map(of);
-        // Position and opacity: of a half from both, or from one of them all and from the other nothing.
+        // Position and opacity: grey differs from both by a half, black from one by all and from the other by
+        // nothing, which is twice as much once squared.
         for class in [0, 3] {
             for colour in [black, white] {
                 let ratio = colour[class] / grey[class];
-                assert!((1.0..4.0).contains(&ratio), "class {class}: {ratio}");
+                assert!((1.2..3.2).contains(&ratio), "class {class}: {ratio}");
             }
         }
     }

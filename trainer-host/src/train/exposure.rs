@@ -99,9 +99,9 @@ impl Exposures {
 }
 
 impl PosedPhotograph {
-    /// The photograph that a camera would have taken which has no exposure of its own, where this one has these
-    /// factors of r g b and these offsets in display values; what that makes darker than black or brighter
-    /// than white is cut off.
+    /// The photograph that a camera would have taken which has no exposure of its own, where this one has
+    /// these factors of r g b and these offsets in display values; what that makes darker than black or
+    /// brighter than white is cut off.
     #[must_use]
     pub fn without_exposure(&self, [factors, offsets]: [[f32; 3]; 2]) -> Self {
         let (width, height) = (self.photograph.width(), self.photograph.height());

@@ -93,7 +93,7 @@ impl Default for Finish {
             prune_at: [0.65, 0.75],
             prune: 0.25,
             round_from: 0.8,
-            coarseness: 1.5,
+            coarseness: 2.0,
             rate_weight: 0.01,
             target_bytes: 0,
             motion: 1.0,

@@ -152,7 +152,7 @@ fn what_bases_add_at_once_is_that_of_states_rendered_alone() {
         let measured = || bases().map(|(at, _)| &table.groups[at]);
         assert!(measured().all(|base| (base.together.unwrap() - at_once).abs() < 1e-12), "{span:?}");
         let sum: f64 = measured().map(|base| base.gain).sum();
-        assert!(all.len() > 4 && (sum - at_once).abs() > 1e-4, "it is not their sum: {sum} {at_once}");
+        assert!(all.len() > 2 && (sum - at_once).abs() > 1e-4, "it is not their sum: {sum} {at_once}");
     }
     let upper = table.groups.iter().filter(|group| group.level > 0);
     assert!(upper.clone().count() > 4);

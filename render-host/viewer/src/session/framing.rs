@@ -2,22 +2,11 @@
 
 use dgs_player::Result;
 
-use super::{Session, has_base};
+use super::{Session, Unframed, has_base};
 use crate::{
     bounds::bounds,
     orbit::{Orbit, Up},
 };
-
-/// A camera that was placed before there was anything to look at.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Unframed {
-    /// What it was placed as: another is somebody's choice.
-    placed: Orbit,
-    /// Packets that were decoded when Gaussians were looked for last.
-    decoded: usize,
-    /// Whether any have been found since.
-    found: bool,
-}
 
 impl Session {
     /// Moves the camera so that every Gaussian of the frame that is due is in a picture `aspect`

@@ -316,7 +316,7 @@ fn of_a_stream_that_grows_it_is_known_whether_a_window_has_come() {
 
 /// What a person or an address has chosen stays.
 #[test]
-fn a_camera_that_found_nothing_looks_again_unless_its_view_was_chosen() {
+fn a_camera_before_there_is_anything_to_see_is_placed_again_unless_somebody_moved_it() {
     let (mut whole, _) = Session::open(BARE_FILE).unwrap();
     whole.look_at_all(1.5, Up::default()).unwrap();
     let (expected, up) = (*whole.orbit(), Up::named("minus-z").unwrap());

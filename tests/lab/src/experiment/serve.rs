@@ -198,7 +198,7 @@ fn offer(sizes: &Sizes, quiet: Quiet) -> Result<ServedStream> {
     let scene = pipeline::import(&format!("synth:cloth:{}:{FRAMES}", sizes.gaussians), &args)?.scene;
     let codec = CodecArgs {
         coarseness: COARSENESS,
-        pictures: 0,
+        pictures: Some(0),
         window_frames: Some(15),
         ..setup::codec_args(ProfileName::Dgs1)
     };

@@ -53,7 +53,8 @@ impl LossModel {
 }
 
 /// A link and when its pictures are shown. The stream is sent from its first packet on, at full capacity; a
-/// packet that is lost is sent once more, at least one round trip after it was sent and after everything else.
+/// packet that is lost is sent once more, after everything else and at least one round trip after it was
+/// sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Link {
     /// Whole streams that it carries per second.

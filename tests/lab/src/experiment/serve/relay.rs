@@ -60,8 +60,11 @@ pub fn run(bench: &mut Bench, quiet: Quiet) -> Result<()> {
 fn offer(quiet: Quiet) -> Result<(ServedStream, PacketGraph)> {
     let args = setup::scene_args(GAUSSIANS);
     let scene = pipeline::import(&format!("synth:cloth:{GAUSSIANS}:90"), &args)?.scene;
-    let codec =
-        dgs::args::CodecArgs { pictures: 0, window_frames: Some(30), ..setup::codec_args(ProfileName::Dgs1) };
+    let codec = dgs::args::CodecArgs {
+        pictures: Some(0),
+        window_frames: Some(30),
+        ..setup::codec_args(ProfileName::Dgs1)
+    };
     let options = pipeline::encode_options(&codec, trainer_host::encode::Protection::STANDARD);
     let stream = pipeline::encode(&scene, &options, quiet)?.stream;
     let map = trainer_host::stream::PacketMap::of(&stream)?;
