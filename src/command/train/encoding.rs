@@ -2,11 +2,13 @@
 
 use anyhow::{Context, Result, bail};
 use codec_core::ShDegree;
+use rayon::prelude::*;
+use render_host::metric;
 use trainer_host::{
     Scene,
     encode::{self, Decisions, EncodeError, EncodeOptions, Encoded, Protection, QuantiserSteps, Target},
     scene::{Attributes, Epoch, Track},
-    train::{self, Dataset, DynamicScene},
+    train::{self, Dataset, DynamicScene, PixelMask, PosedPhotograph, Training, Validation, Views},
 };
 
 use super::{figures::decoded, interruption::Interruption, trained::Trained};
@@ -20,6 +22,8 @@ use crate::{
 const VIEWS: usize = 20;
 /// Encodings at most.
 const ATTEMPTS: usize = 4;
+/// Squared error below which a picture is its photograph: PSNR of 100 dB.
+const LEAST_ERROR: f64 = 1e-10;
 /// Range of the factor on quantiser steps.
 const COARSENESS: (f64, f64) = (0.05, 4.0);
 /// A loss above this share of what is allowed is near enough to it.
@@ -30,7 +34,8 @@ const AIM: f64 = 0.85;
 /// A stream of what was trained.
 pub(super) struct Written {
     pub(super) encoded: Encoded,
-    /// What encoding took from the PSNR of the views that it was chosen by, dB, where it was chosen so.
+    /// What encoding took from the PSNR of the views that it was chosen by, dB, as measured, where it was
+    /// chosen so.
     pub(super) lost_db: Option<f64>,
     /// What a person should know.
     pub(super) notes: Vec<String>,
@@ -47,15 +52,30 @@ struct Attempt {
     encoded: Encoded,
     /// Factor on quantiser steps.
     coarseness: f64,
-    /// What encoding took from the PSNR of the views, dB.
-    lost_db: f64,
+    loss: Loss,
+}
+
+/// What encoding takes from the PSNR of views, dB.
+#[derive(Clone, Copy, Debug)]
+struct Loss {
+    measured: f64,
+    /// What is expected where its errors have nothing to do with those that pictures had before. In few views
+    /// they add up or cancel by chance, which steps cannot be chosen by.
+    expected: f64,
+}
+
+impl Loss {
+    /// What is allowed is more than either.
+    fn larger(self) -> f64 {
+        self.measured.max(self.expected)
+    }
 }
 
 impl Attempt {
     /// Whether this is what was asked for rather than `other`: a loss that is allowed before one that is not,
     /// then the coarser of allowed ones, the finer of others.
     fn beats(&self, other: &Self, allowed_db: f64) -> bool {
-        match (self.lost_db <= allowed_db, other.lost_db <= allowed_db) {
+        match (self.loss.larger() <= allowed_db, other.loss.larger() <= allowed_db) {
             (true, true) => self.coarseness > other.coarseness,
             (false, false) => self.coarseness < other.coarseness,
             (is_allowed, _) => is_allowed,
@@ -64,7 +84,7 @@ impl Attempt {
 
     /// Steps for the next attempt: loss in dB grows with their square while it is small.
     fn next_coarseness(&self, allowed_db: f64) -> f64 {
-        let ratio = (AIM * allowed_db / self.lost_db.max(1e-3 * allowed_db)).sqrt();
+        let ratio = (AIM * allowed_db / self.loss.larger().max(1e-3 * allowed_db)).sqrt();
         (self.coarseness * ratio.clamp(0.3, 2.0)).clamp(COARSENESS.0, COARSENESS.1)
     }
 }
@@ -153,25 +173,9 @@ pub(super) fn within_loss(
         let progress = named("encode".to_owned());
         return Ok(Written::plainly(encode::encode(scene, &options, &progress).context("cannot encode")?));
     }
-    let (reduced, background) = (trained.reduced, trained.options.background);
-    let psnr_db = |shown: &dyn DynamicScene| -> Result<f64> {
-        let mut psnr_db = f64::NAN;
-        if !dataset.validation.is_empty() {
-            psnr_db = train::evaluate(shown, &dataset.validation.sample(VIEWS), reduced, background)?.psnr_db;
-        }
-        // Views of which masks leave nothing have none; some view to train on has one.
-        if psnr_db.is_nan() {
-            let sample = dataset.train.sample(VIEWS);
-            psnr_db = train::evaluate(shown, &*trained.neutral_views(&sample)?, reduced, background)?.psnr_db;
-        }
-        if psnr_db.is_nan() {
-            let views = trained.neutral_views(&dataset.train)?;
-            psnr_db = train::evaluate(shown, &*views, reduced, background)?.psnr_db;
-        }
-        Ok(psnr_db)
-    };
     // Where frames are fewer than photographs have times, encoding does not answer for that.
-    let trained_db = psnr_db(&trained.shown_in_frames())?;
+    let shown = trained.shown_in_frames();
+    let trial = Trial::of(dataset, trained, &shown)?;
     let attempt = |number: usize, coarseness: f64| -> Result<Attempt> {
         let progress = named(attempt_in_words(number, coarseness, decisions.is_some()));
         let encoded = match decisions {
@@ -182,14 +186,14 @@ pub(super) fn within_loss(
             }
         };
         let encoded = encoded.context("cannot encode")?;
-        let shown_db = psnr_db(&decoded(&encoded)?)?;
-        Ok(Attempt { encoded, coarseness, lost_db: trained_db - shown_db })
+        let loss = trial.loss(&decoded(&encoded)?)?;
+        Ok(Attempt { encoded, coarseness, loss })
     };
     let allowed = args.encoding_loss;
     let mut best = attempt(1, 1.0)?;
     let mut next = best.next_coarseness(allowed);
     for number in 2..=ATTEMPTS {
-        if (NEAR * allowed..=allowed).contains(&best.lost_db) {
+        if (NEAR * allowed..=allowed).contains(&best.loss.larger()) {
             break;
         }
         let found = attempt(number, next)?;
@@ -198,7 +202,7 @@ pub(super) fn within_loss(
             best = found;
         }
     }
-    let Attempt { encoded, lost_db, .. } = best;
+    let Attempt { encoded, loss: Loss { measured: lost_db, .. }, .. } = best;
     let over = (lost_db > allowed).then(|| {
         format!(
             "encoding takes {lost_db:.3} dB from the PSNR of the views it is judged by; --encoding-loss is \
@@ -206,6 +210,56 @@ pub(super) fn within_loss(
         )
     });
     Ok(Written { encoded, lost_db: Some(lost_db), notes: over.into_iter().collect() })
+}
+
+/// Views that steps are chosen by, and what was trained.
+struct Trial<'t> {
+    views: Views<Validation>,
+    shown: &'t dyn DynamicScene,
+    reduced: u32,
+    background: [f32; 3],
+}
+
+impl<'t> Trial<'t> {
+    /// Validation views, or training views where there are none, of `shown`, which `trained` is before it is
+    /// encoded.
+    fn of(dataset: &Dataset, trained: &Trained, shown: &'t dyn DynamicScene) -> Result<Self> {
+        let neutral = |views: &Views<Training>| -> Vec<PosedPhotograph> {
+            views.photographs().iter().map(|view| trained.neutral(view).into_owned()).collect()
+        };
+        let (reduced, background) = (trained.reduced, trained.options.background);
+        // Views of which masks leave nothing do not count; some view to train on does.
+        let of = |mut views: Vec<PosedPhotograph>| -> Result<Self> {
+            let counts = |mask: &PixelMask| mask.reduced(reduced).values().contains(&255);
+            views.retain(|view| view.counted.as_ref().is_none_or(counts));
+            Ok(Self { views: Views::new(views)?, shown, reduced, background })
+        };
+        let validation = of(dataset.validation.sample(VIEWS).photographs().to_vec())?;
+        if !validation.views.is_empty() {
+            return Ok(validation);
+        }
+        let sample = of(neutral(&dataset.train.sample(VIEWS)))?;
+        if sample.views.is_empty() { of(neutral(&dataset.train)) } else { Ok(sample) }
+    }
+
+    /// What is lost where `decoded` is shown.
+    fn loss(&self, decoded: &dyn DynamicScene) -> Result<Loss> {
+        let of_view = |index: usize| -> Result<[f64; 2]> {
+            let seen = |scene| train::compare(scene, &self.views, index, self.reduced, self.background);
+            let [before, after] = [seen(self.shown)?, seen(decoded)?];
+            let photograph = &before.photograph;
+            let [before, after] = [before.where_counted()?, after.where_counted()?];
+            let error = metric::mse(&before, photograph)?.max(LEAST_ERROR);
+            let decibels = |error_now: f64| 10.0 * (error_now.max(LEAST_ERROR) / error).log10();
+            let coding = metric::mse(&after, &before)?;
+            Ok([decibels(metric::mse(&after, photograph)?), decibels(error + coding)])
+        };
+        let count = self.views.photographs().len();
+        let of_views: Result<Vec<[f64; 2]>> = (0..count).into_par_iter().map(of_view).collect();
+        let of_views = of_views?;
+        let mean = |k: usize| of_views.iter().map(|loss| loss[k]).sum::<f64>() / count.max(1) as f64;
+        Ok(Loss { measured: mean(0), expected: mean(1) })
+    }
 }
 
 /// Which of the attempts is made, the first is 1, and with steps how long: those of motion alone, or all.
