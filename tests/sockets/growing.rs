@@ -112,8 +112,8 @@ fn a_viewer_ahead_of_a_stream_that_grows_waits_for_it() {
             tokio::time::sleep(HALF_A_SECOND * 5).await;
             shown.mark_unchanged();
             to.send(windows[4].clone()).unwrap();
-            // The viewer has gone on with the fourth before there is more, unless it was busy for so long that
-            // it takes the next for what is due.
+            // The viewer has gone on with the fourth before there is more, unless it was busy for so long
+            // that it takes the next for what is due.
             drop(tokio::time::timeout(HALF_A_SECOND * 2, shown.changed()).await);
             produce(&windows[5..], &to).await;
             drop(to);

@@ -2,13 +2,11 @@
 
 use anyhow::{Context, Result, bail};
 use codec_core::ShDegree;
-use rayon::prelude::*;
-use render_host::metric;
 use trainer_host::{
     Scene,
     encode::{self, Decisions, EncodeError, EncodeOptions, Encoded, Protection, QuantiserSteps, Target},
     scene::{Attributes, Epoch, Track},
-    train::{self, Dataset, DynamicScene, PixelMask, PosedPhotograph, Training, Validation, Views},
+    train::{self, Dataset, DynamicScene},
 };
 
 use super::{figures::decoded, interruption::Interruption, trained::Trained};
@@ -21,9 +19,7 @@ use crate::{
 /// Views that the loss is measured on.
 const VIEWS: usize = 20;
 /// Encodings at most.
-const ATTEMPTS: usize = 4;
-/// Squared error below which a picture is its photograph: PSNR of 100 dB.
-const LEAST_ERROR: f64 = 1e-10;
+const ATTEMPTS: usize = 6;
 /// Range of the factor on quantiser steps.
 const COARSENESS: (f64, f64) = (0.05, 4.0);
 /// A loss above this share of what is allowed is near enough to it.
@@ -34,8 +30,7 @@ const AIM: f64 = 0.85;
 /// A stream of what was trained.
 pub(super) struct Written {
     pub(super) encoded: Encoded,
-    /// What encoding took from the PSNR of the views that it was chosen by, dB, as measured, where it was
-    /// chosen so.
+    /// What encoding took from the PSNR of the views that it was chosen by, dB, where it was chosen so.
     pub(super) lost_db: Option<f64>,
     /// What a person should know.
     pub(super) notes: Vec<String>,
@@ -52,30 +47,15 @@ struct Attempt {
     encoded: Encoded,
     /// Factor on quantiser steps.
     coarseness: f64,
-    loss: Loss,
-}
-
-/// What encoding takes from the PSNR of views, dB.
-#[derive(Clone, Copy, Debug)]
-struct Loss {
-    measured: f64,
-    /// What is expected where its errors have nothing to do with those that pictures had before. In few views
-    /// they add up or cancel by chance, which steps cannot be chosen by.
-    expected: f64,
-}
-
-impl Loss {
-    /// What is allowed is more than either.
-    fn larger(self) -> f64 {
-        self.measured.max(self.expected)
-    }
+    /// What encoding took from the PSNR of the views, dB.
+    lost_db: f64,
 }
 
 impl Attempt {
     /// Whether this is what was asked for rather than `other`: a loss that is allowed before one that is not,
     /// then the coarser of allowed ones, the finer of others.
     fn beats(&self, other: &Self, allowed_db: f64) -> bool {
-        match (self.loss.larger() <= allowed_db, other.loss.larger() <= allowed_db) {
+        match (self.lost_db <= allowed_db, other.lost_db <= allowed_db) {
             (true, true) => self.coarseness > other.coarseness,
             (false, false) => self.coarseness < other.coarseness,
             (is_allowed, _) => is_allowed,
@@ -84,8 +64,37 @@ impl Attempt {
 
     /// Steps for the next attempt: loss in dB grows with their square while it is small.
     fn next_coarseness(&self, allowed_db: f64) -> f64 {
-        let ratio = (AIM * allowed_db / self.loss.larger().max(1e-3 * allowed_db)).sqrt();
+        let ratio = (AIM * allowed_db / self.lost_db.max(1e-3 * allowed_db)).sqrt();
         (self.coarseness * ratio.clamp(0.3, 2.0)).clamp(COARSENESS.0, COARSENESS.1)
+    }
+}
+
+/// What lies between steps whose loss is allowed and steps whose loss is not.
+#[derive(Clone, Copy, Debug, Default)]
+struct Between {
+    /// The coarsest that are allowed.
+    allowed: Option<f64>,
+    /// The finest that are not.
+    refused: Option<f64>,
+}
+
+impl Between {
+    /// Learns whether steps of `coarseness` are allowed, and gives those to try next: the `guess`, or the
+    /// middle where that leads nowhere; none where others would hardly be others.
+    fn next(&mut self, coarseness: f64, is_allowed: bool, guess: f64) -> Option<f64> {
+        if is_allowed {
+            self.allowed = Some(self.allowed.map_or(coarseness, |most| most.max(coarseness)));
+        } else {
+            self.refused = Some(self.refused.map_or(coarseness, |least| least.min(coarseness)));
+        }
+        match (self.allowed, self.refused) {
+            (Some(low), Some(high)) if high <= 1.1 * low => None,
+            // The loss is no smooth function of steps: what a guess misses, halving finds.
+            (Some(low), Some(high)) if !(1.02 * low..0.98 * high).contains(&guess) => {
+                Some((low * high).sqrt())
+            }
+            _ => Some(guess),
+        }
     }
 }
 
@@ -173,9 +182,25 @@ pub(super) fn within_loss(
         let progress = named("encode".to_owned());
         return Ok(Written::plainly(encode::encode(scene, &options, &progress).context("cannot encode")?));
     }
+    let (reduced, background) = (trained.reduced, trained.options.background);
+    let psnr_db = |shown: &dyn DynamicScene| -> Result<f64> {
+        let mut psnr_db = f64::NAN;
+        if !dataset.validation.is_empty() {
+            psnr_db = train::evaluate(shown, &dataset.validation.sample(VIEWS), reduced, background)?.psnr_db;
+        }
+        // Views of which masks leave nothing have none; some view to train on has one.
+        if psnr_db.is_nan() {
+            let sample = dataset.train.sample(VIEWS);
+            psnr_db = train::evaluate(shown, &*trained.neutral_views(&sample)?, reduced, background)?.psnr_db;
+        }
+        if psnr_db.is_nan() {
+            let views = trained.neutral_views(&dataset.train)?;
+            psnr_db = train::evaluate(shown, &*views, reduced, background)?.psnr_db;
+        }
+        Ok(psnr_db)
+    };
     // Where frames are fewer than photographs have times, encoding does not answer for that.
-    let shown = trained.shown_in_frames();
-    let trial = Trial::of(dataset, trained, &shown)?;
+    let trained_db = psnr_db(&trained.shown_in_frames())?;
     let attempt = |number: usize, coarseness: f64| -> Result<Attempt> {
         let progress = named(attempt_in_words(number, coarseness, decisions.is_some()));
         let encoded = match decisions {
@@ -186,23 +211,28 @@ pub(super) fn within_loss(
             }
         };
         let encoded = encoded.context("cannot encode")?;
-        let loss = trial.loss(&decoded(&encoded)?)?;
-        Ok(Attempt { encoded, coarseness, loss })
+        let shown_db = psnr_db(&decoded(&encoded)?)?;
+        Ok(Attempt { encoded, coarseness, lost_db: trained_db - shown_db })
     };
     let allowed = args.encoding_loss;
     let mut best = attempt(1, 1.0)?;
-    let mut next = best.next_coarseness(allowed);
+    let mut between = Between::default();
+    let mut next_after = |found: &Attempt| {
+        between.next(found.coarseness, found.lost_db <= allowed, found.next_coarseness(allowed))
+    };
+    let mut next = next_after(&best);
     for number in 2..=ATTEMPTS {
-        if (NEAR * allowed..=allowed).contains(&best.loss.larger()) {
+        let Some(coarseness) = next else { break };
+        if (NEAR * allowed..=allowed).contains(&best.lost_db) {
             break;
         }
-        let found = attempt(number, next)?;
-        next = found.next_coarseness(allowed);
+        let found = attempt(number, coarseness)?;
+        next = next_after(&found);
         if found.beats(&best, allowed) {
             best = found;
         }
     }
-    let Attempt { encoded, loss: Loss { measured: lost_db, .. }, .. } = best;
+    let Attempt { encoded, lost_db, .. } = best;
     let over = (lost_db > allowed).then(|| {
         format!(
             "encoding takes {lost_db:.3} dB from the PSNR of the views it is judged by; --encoding-loss is \
@@ -210,56 +240,6 @@ pub(super) fn within_loss(
         )
     });
     Ok(Written { encoded, lost_db: Some(lost_db), notes: over.into_iter().collect() })
-}
-
-/// Views that steps are chosen by, and what was trained.
-struct Trial<'t> {
-    views: Views<Validation>,
-    shown: &'t dyn DynamicScene,
-    reduced: u32,
-    background: [f32; 3],
-}
-
-impl<'t> Trial<'t> {
-    /// Validation views, or training views where there are none, of `shown`, which `trained` is before it is
-    /// encoded.
-    fn of(dataset: &Dataset, trained: &Trained, shown: &'t dyn DynamicScene) -> Result<Self> {
-        let neutral = |views: &Views<Training>| -> Vec<PosedPhotograph> {
-            views.photographs().iter().map(|view| trained.neutral(view).into_owned()).collect()
-        };
-        let (reduced, background) = (trained.reduced, trained.options.background);
-        // Views of which masks leave nothing do not count; some view to train on does.
-        let of = |mut views: Vec<PosedPhotograph>| -> Result<Self> {
-            let counts = |mask: &PixelMask| mask.reduced(reduced).values().contains(&255);
-            views.retain(|view| view.counted.as_ref().is_none_or(counts));
-            Ok(Self { views: Views::new(views)?, shown, reduced, background })
-        };
-        let validation = of(dataset.validation.sample(VIEWS).photographs().to_vec())?;
-        if !validation.views.is_empty() {
-            return Ok(validation);
-        }
-        let sample = of(neutral(&dataset.train.sample(VIEWS)))?;
-        if sample.views.is_empty() { of(neutral(&dataset.train)) } else { Ok(sample) }
-    }
-
-    /// What is lost where `decoded` is shown.
-    fn loss(&self, decoded: &dyn DynamicScene) -> Result<Loss> {
-        let of_view = |index: usize| -> Result<[f64; 2]> {
-            let seen = |scene| train::compare(scene, &self.views, index, self.reduced, self.background);
-            let [before, after] = [seen(self.shown)?, seen(decoded)?];
-            let photograph = &before.photograph;
-            let [before, after] = [before.where_counted()?, after.where_counted()?];
-            let error = metric::mse(&before, photograph)?.max(LEAST_ERROR);
-            let decibels = |error_now: f64| 10.0 * (error_now.max(LEAST_ERROR) / error).log10();
-            let coding = metric::mse(&after, &before)?;
-            Ok([decibels(metric::mse(&after, photograph)?), decibels(error + coding)])
-        };
-        let count = self.views.photographs().len();
-        let of_views: Result<Vec<[f64; 2]>> = (0..count).into_par_iter().map(of_view).collect();
-        let of_views = of_views?;
-        let mean = |k: usize| of_views.iter().map(|loss| loss[k]).sum::<f64>() / count.max(1) as f64;
-        Ok(Loss { measured: mean(0), expected: mean(1) })
-    }
 }
 
 /// Which of the attempts is made, the first is 1, and with steps how long: those of motion alone, or all.
@@ -295,8 +275,20 @@ mod tests {
     use super::*;
 
     #[test]
+    fn steps_are_sought_between_those_that_are_allowed_and_those_that_are_not() {
+        let mut between = Between::default();
+        assert_eq!(between.next(1.0, true, 1.7), Some(1.7), "nothing is refused yet");
+        assert_eq!(between.next(1.7, false, 1.5), Some(1.5), "a guess in between");
+        // One that leads back to what was tried already is none.
+        assert_eq!(between.next(1.5, false, 0.4), Some(1.5f64.sqrt()));
+        assert_eq!(between.next(1.2, true, 2.4), Some((1.2f64 * 1.5).sqrt()));
+        assert_eq!(between.next(1.35, true, 1.4), Some(1.4));
+        assert_eq!(between.next(1.4, false, 1.38), None, "as near as that");
+    }
+
+    #[test]
     fn an_encoding_says_which_of_how_many_it_is_and_how_coarse() {
-        assert_eq!(attempt_in_words(1, 1.0, false), "encoding 1 of at most 4, steps x 1.00");
-        assert_eq!(attempt_in_words(3, 0.346, true), "encoding 3 of at most 4, steps of motion x 0.35");
+        assert_eq!(attempt_in_words(1, 1.0, false), "encoding 1 of at most 6, steps x 1.00");
+        assert_eq!(attempt_in_words(3, 0.346, true), "encoding 3 of at most 6, steps of motion x 0.35");
     }
 }

@@ -35,7 +35,7 @@ impl PixelMask {
 
     /// The mask of a photograph `by` times smaller, at least 1: yes where all pixels that it covers say yes.
     #[must_use]
-    pub fn reduced(&self, by: u32) -> Self {
+    pub(crate) fn reduced(&self, by: u32) -> Self {
         self.where_many(by, by * by)
     }
 

@@ -131,8 +131,8 @@ impl Default for ChannelRanges {
 
 impl ChannelRanges {
     /// The link of the world of `number` in `variant`. Variants of one loss have no deadline; the combined
-    /// one takes turns: of three worlds that follow each other one has either loss and the third a deadline, with
-    /// either loss by turns.
+    /// one takes turns: of three worlds that follow each other two have one loss each, and the third has a
+    /// deadline and either loss by turns.
     pub(super) fn link(&self, variant: Variant, number: usize, rng: &mut Pcg64) -> Link {
         let mut draw = |[low, high]: [f64; 2]| low + (high - low) * rng.random::<f64>();
         let iid = LossModel::Iid { probability: draw(self.iid) };
