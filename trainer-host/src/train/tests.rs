@@ -210,7 +210,7 @@ fn a_resumed_training_falls_back_as_one_that_was_not_interrupted() {
 
 /// Coarse steps and values at a price; on so small a scene no Gaussian is one too many.
 fn finished() -> TrainOptions {
-    let finish = Finish { prune: 0.1, coarseness: 6.0, motion: 1.0, ..Finish::default() };
+    let finish = Finish { prune: 0.1, coarseness: 6.0, motion: 2.0, ..Finish::default() };
     TrainOptions { finish, sh_degree: 2, ..options() }
 }
 

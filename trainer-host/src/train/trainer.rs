@@ -121,8 +121,8 @@ impl<'a> Trainer<'a> {
         let exposures = exposure::of_views(dataset, options.rates.exposure);
         let state = State::begun(model, Exposures::neutral(exposure::count(&exposures)));
         let order = ViewOrder::new(photographs.len(), options.seed);
-        let coding = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
-        let encoding = Encoding { options: coding, frames: dataset.frames, frames_per_second: 30.0 };
+        let encoding =
+            Encoding { options: EncodeOptions::default(), frames: dataset.frames, frames_per_second: 30.0 };
         Ok(Self {
             views: &dataset.train,
             instants: dataset.train.instants(),
