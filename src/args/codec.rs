@@ -48,7 +48,7 @@ pub struct CodecArgs {
     )]
     pub target_psnr: Option<f64>,
     /// Pictures per epoch that tell how much an error in each Gaussian shows: steps follow (dgs1). 1 to
-    /// 1024; 0: the same steps for all [default: 16; in dgs train without --target-bytes 0].
+    /// 1024; 0: the same steps for all [default: 16; 0 where dgs train rounds values itself].
     #[arg(long, value_parser = whole::<usize>(0..=1024, "pictures"))]
     pub pictures: Option<usize>,
     /// Spend up to this many trial encodings, 4 to 500, on how attributes share the bits: fewer bytes at the

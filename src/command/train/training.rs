@@ -88,12 +88,11 @@ pub(super) fn begin<'d>(
         let failed = || folder.checkpoint.display().to_string();
         let begun = Begun { progress: checkpoint.progress(), length: checkpoint.length() };
         let trainer = checkpoint.resume(dataset).with_context(failed)?.on(backend)?;
-        let encoding = encoding_of(args, dataset, rate, trainer.options());
-        return Ok((trainer.encoded_by(encoding), begun));
+        return Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), begun));
     }
     let trainer = Trainer::new(dataset, options)?.on(backend)?;
     let begun = Begun { progress: 0.0, length: None };
-    Ok((trainer.encoded_by(encoding_of(args, dataset, rate, options)), begun))
+    Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), begun))
 }
 
 /// Refuses options that are others than those that the checkpoint goes on with.
@@ -325,18 +324,12 @@ fn glance(trainer: &Trainer, dataset: &Dataset) -> Option<f64> {
     found.ok().map(|found| found.psnr_db).filter(|psnr_db| psnr_db.is_finite())
 }
 
-/// How the end of a training on `dataset` with `of_training` encodes, at so many frames per second.
-fn encoding_of(
-    args: &Train,
-    dataset: &Dataset,
-    frames_per_second: f64,
-    of_training: &train::TrainOptions,
-) -> Encoding {
+/// How the end of a training on `dataset` encodes, at so many frames per second.
+fn encoding_of(args: &Train, dataset: &Dataset, frames_per_second: f64) -> Encoding {
     let options = pipeline::encode_options(&args.codec, Protection::NONE);
-    // A training makes up for its own rounding, whichever Gaussian it is of, while steps are fine: where they
-    // followed what shows, it would do so twice. Coarse ones, which sizes ask for, are better spent so.
-    let is_fine = of_training.finish.target_bytes == 0;
-    let pictures = if is_fine { args.codec.pictures.unwrap_or(0) } else { options.pictures };
+    // A training makes up for its own rounding, whichever Gaussian it is of: where steps followed what shows,
+    // it would do so twice.
+    let pictures = args.codec.pictures.unwrap_or(0);
     Encoding {
         options: EncodeOptions { pictures, ..options },
         frames: args.frames.unwrap_or(dataset.frames),
