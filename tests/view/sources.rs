@@ -88,7 +88,7 @@ fn a_file_comes_from_servers_of_every_kind() {
 #[test]
 fn a_file_that_changes_or_is_none_is_refused_with_its_address() {
     let Some(mut page) = Page::blank() else { return };
-    page.browser.before_pages(SERVERS).unwrap();
+    page.browser.before_pages(&SERVERS.replace("DAMAGED", "NaN")).unwrap();
     let url = format!("{}?paused&pixel-ratio=0.25&src=index.html", page.served.url());
     page.browser.go(&url).unwrap();
     let failed = "!!(globalThis.player = document.querySelector('dgs-player'))?.error";
