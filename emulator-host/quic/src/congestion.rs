@@ -176,10 +176,12 @@ mod tests {
 
     #[test]
     fn what_is_on_its_way_is_what_left_and_was_neither_acknowledged_nor_lost() {
+        let factory = CongestionControl::NewReno.watched(1200);
+        let built = factory.build(Instant::now(), 1200);
+        let mut controller = built.into_any().downcast::<Watched<PathWatch>>().unwrap();
+        // After that: what was before a watch began is all one to it.
         let began = Instant::now();
         let at = |ms| began + Duration::from_millis(ms);
-        let factory = CongestionControl::NewReno.watched(1200);
-        let mut controller = factory.build(began, 1200).into_any().downcast::<Watched<PathWatch>>().unwrap();
         let watch = controller.observer.clone();
         // Three datagrams, two at one time, and an acknowledgement.
         controller.on_sent(at(1), 1200, 0);
@@ -202,10 +204,12 @@ mod tests {
 
     #[test]
     fn control_that_was_lost_is_owed_until_it_has_left_again() {
+        let factory = CongestionControl::NewReno.watched(1200);
+        let built = factory.build(Instant::now(), 1200);
+        let mut controller = built.into_any().downcast::<Watched<PathWatch>>().unwrap();
+        // After that: what was before a watch began is all one to it.
         let began = Instant::now();
         let at = |ms| began + Duration::from_millis(ms);
-        let factory = CongestionControl::NewReno.watched(1200);
-        let mut controller = factory.build(began, 1200).into_any().downcast::<Watched<PathWatch>>().unwrap();
         let watch = controller.observer.clone();
         // Two datagrams of control, then one of media; another waits in the transport.
         controller.on_sent(at(1), 1200, 0);
@@ -227,7 +231,7 @@ mod tests {
 
     #[test]
     fn what_a_handshake_sent_is_never_taken_for_lost_control() {
-        let (began, watch) = (Instant::now(), PathWatch::new());
+        let (watch, began) = (PathWatch::new(), Instant::now());
         let at = |ms| began + Duration::from_millis(ms);
         // One datagram of two packets, each acknowledged by itself.
         watch.on_sent(at(0), 1200);
