@@ -9,9 +9,9 @@ use super::{
 };
 
 /// A page that lets every transport take the time that it takes on a busy machine: another is tried only once
-/// one has failed, and media requested in streams only where datagrams are swallowed. Timers are told by the
-/// page's names for what they do: after a head start, without a manifest, without media. `met` holds those
-/// that were set.
+/// one has failed, and media requested in streams only where datagrams are swallowed. Timers are known by
+/// the page's names for what they do: after a head start, without a manifest, without media. `met` holds
+/// those that were set.
 const UNHURRIED: &str = "{ const real = setTimeout; globalThis.met = new Set();\
     globalThis.setTimeout = (act, ms, ...given) => {\
         const names = globalThis.swallows ? ['next', 'end'] : ['next', 'end', 'quiet'];\

@@ -68,7 +68,7 @@ impl Shown {
         self.frames.iter().map(|(frame, _)| *frame).collect()
     }
 
-    /// For each frame, the place of the first one that looks the same.
+    /// For each frame, by index, the first that is the same one in the same state.
     fn alike(&self) -> Vec<usize> {
         let mut first = BTreeMap::new();
         self.frames.iter().enumerate().map(|(at, shown)| *first.entry(*shown).or_insert(at)).collect()
@@ -105,8 +105,8 @@ impl Shown {
         }
         let (numbers, alike) = (self.numbers(), self.alike());
         let is_first = |at: usize| alike[at] == at;
-        // A clip may repeat for hours: what looks the same is compared once, and drawn again only to be
-        // written.
+        // A clip may repeat for hours: the same frame in the same state is compared once, and drawn again
+        // only to be written.
         let is_written = writer.is_some();
         let drawn: Vec<usize> = (0..self.frames.len()).filter(|at| is_written || is_first(*at)).collect();
         let mut psnr_db = vec![0.0; self.frames.len()];
@@ -217,7 +217,7 @@ mod tests {
         assert!(psnr_db[..3].iter().all(|found| *found < 60.0), "{psnr_db:?}");
         assert!(psnr_db[3..].iter().all(|found| *found >= PSNR_CAP_DB), "{psnr_db:?}");
         assert!(quality.mean_psnr_db < PSNR_CAP_DB - 10.0 && quality.worst_tenth_psnr_db < 60.0);
-        // Compared alone, without the second look at what looks the same.
+        // Compared and not written: what repeats is not drawn again.
         assert_eq!(draw(None).psnr_db, quality.psnr_db);
         let picture = |number: u32| std::fs::read(out.join(format!("{number:05}.png"))).unwrap();
         assert!((0..3).all(|frame| picture(frame) != picture(3 + frame)));

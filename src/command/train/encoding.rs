@@ -20,6 +20,8 @@ use crate::{
 const VIEWS: usize = 20;
 /// Encodings at most.
 const ATTEMPTS: usize = 6;
+/// Steps that differ by less than this factor are not distinguished by the loss.
+const NARROW: f64 = 1.1;
 /// Range of the factor on quantiser steps.
 const COARSENESS: (f64, f64) = (0.05, 4.0);
 /// A loss above this share of what is allowed is near enough to it.
@@ -69,18 +71,18 @@ impl Attempt {
     }
 }
 
-/// What lies between steps whose loss is allowed and steps whose loss is not.
+/// Bracket of the coarsest steps whose loss is allowed, as factors on quantiser steps.
 #[derive(Clone, Copy, Debug, Default)]
-struct Between {
+struct Bracket {
     /// The coarsest that are allowed.
     allowed: Option<f64>,
     /// The finest that are not.
     refused: Option<f64>,
 }
 
-impl Between {
+impl Bracket {
     /// Learns whether steps of `coarseness` are allowed, and gives those to try next: the `guess`, or the
-    /// middle where that leads nowhere; none where others would hardly be others.
+    /// geometric middle where the guess is outside of the bracket or at its ends; none once it is narrow.
     fn next(&mut self, coarseness: f64, is_allowed: bool, guess: f64) -> Option<f64> {
         if is_allowed {
             self.allowed = Some(self.allowed.map_or(coarseness, |most| most.max(coarseness)));
@@ -88,8 +90,8 @@ impl Between {
             self.refused = Some(self.refused.map_or(coarseness, |least| least.min(coarseness)));
         }
         match (self.allowed, self.refused) {
-            (Some(low), Some(high)) if high <= 1.1 * low => None,
-            // The loss is no smooth function of steps: what a guess misses, halving finds.
+            (Some(low), Some(high)) if high <= NARROW * low => None,
+            // The loss is no smooth function of steps: where a guess fails, bisection goes on.
             (Some(low), Some(high)) if !(1.02 * low..0.98 * high).contains(&guess) => {
                 Some((low * high).sqrt())
             }
@@ -216,9 +218,9 @@ pub(super) fn within_loss(
     };
     let allowed = args.encoding_loss;
     let mut best = attempt(1, 1.0)?;
-    let mut between = Between::default();
+    let mut bracket = Bracket::default();
     let mut next_after = |found: &Attempt| {
-        between.next(found.coarseness, found.lost_db <= allowed, found.next_coarseness(allowed))
+        bracket.next(found.coarseness, found.lost_db <= allowed, found.next_coarseness(allowed))
     };
     let mut next = next_after(&best);
     for number in 2..=ATTEMPTS {
@@ -276,14 +278,14 @@ mod tests {
 
     #[test]
     fn steps_are_sought_between_those_that_are_allowed_and_those_that_are_not() {
-        let mut between = Between::default();
-        assert_eq!(between.next(1.0, true, 1.7), Some(1.7), "nothing is refused yet");
-        assert_eq!(between.next(1.7, false, 1.5), Some(1.5), "a guess in between");
+        let mut bracket = Bracket::default();
+        assert_eq!(bracket.next(1.0, true, 1.7), Some(1.7), "nothing is refused yet");
+        assert_eq!(bracket.next(1.7, false, 1.5), Some(1.5), "a guess in between");
         // One that leads back to what was tried already is none.
-        assert_eq!(between.next(1.5, false, 0.4), Some(1.5f64.sqrt()));
-        assert_eq!(between.next(1.2, true, 2.4), Some((1.2f64 * 1.5).sqrt()));
-        assert_eq!(between.next(1.35, true, 1.4), Some(1.4));
-        assert_eq!(between.next(1.4, false, 1.38), None, "as near as that");
+        assert_eq!(bracket.next(1.5, false, 0.4), Some(1.5f64.sqrt()));
+        assert_eq!(bracket.next(1.2, true, 2.4), Some((1.2f64 * 1.5).sqrt()));
+        assert_eq!(bracket.next(1.35, true, 1.4), Some(1.4));
+        assert_eq!(bracket.next(1.4, false, 1.38), None, "as near as that");
     }
 
     #[test]

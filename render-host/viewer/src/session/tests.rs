@@ -353,7 +353,7 @@ fn a_camera_before_there_is_anything_to_see_is_placed_again_unless_somebody_move
         session.orbit_mut().zoom(2.0);
         let moved = *session.orbit();
         session.look_again(1.5).unwrap();
-        assert_eq!(*session.orbit(), moved, "it looks no more");
+        assert_eq!(*session.orbit(), moved, "framed for good");
     }
     // Of what a server sends: the first packets show something, the whole base is looked at once more.
     let mut session = Session::new(crate::message(BARE_FILE).unwrap().unwrap()).unwrap();

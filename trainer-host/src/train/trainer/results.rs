@@ -44,7 +44,8 @@ impl Trainer<'_> {
         (0..self.state.exposures.len()).map(|index| self.state.exposures.get(index))
     }
 
-    /// That of the place which training view `view` was taken from; none where none are learnt.
+    /// The exposure (factors of r g b, offsets in display values) of the place that the training view of
+    /// index `view` was taken from; `None` past the last view, or where no exposures are learnt.
     pub fn exposure_of(&self, view: usize) -> Option<[[f32; 3]; 2]> {
         self.exposures.get(view).map(|&index| self.state.exposures.get(index))
     }
