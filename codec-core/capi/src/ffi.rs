@@ -82,10 +82,21 @@ unsafe fn report(block: (usize, usize), error: *mut DgsError, run: impl FnOnce()
     if !error.is_null() && (!error.is_aligned() || apart(block, error, 1, "error").is_err()) {
         return DGS_MISUSE;
     }
-    let Err(found) = run() else { return DGS_OK };
+    match run() {
+        Ok(()) => DGS_OK,
+        // SAFETY: null, or aligned and outside the block; promise 2.
+        Err(found) => unsafe { explain(error, &found) },
+    }
+}
+
+/// Puts `found` into the caller's error, unless that is null, and gives the status. Apart from [`report`], which is
+/// compiled into every call.
+#[cold]
+#[inline(never)]
+unsafe fn explain(error: *mut DgsError, found: &DgsError) -> i32 {
     if !error.is_null() {
-        // SAFETY: not null, aligned, outside the block; promise 2.
-        unsafe { error.write(found) };
+        // SAFETY: not null; the rest as the caller promises.
+        unsafe { error.write(*found) };
     }
     found.status
 }
@@ -140,15 +151,19 @@ impl DgsPlayer {
     }
 
     /// What `error` of reading a manifest is to the caller, who has a block and knows of no arena in it.
-    fn refused(&self, error: Error) -> DgsError {
-        let plain = DgsError::from(error);
-        if error.kind != ErrorKind::Capacity || error.field != "arena" {
-            return plain;
+    #[cold]
+    #[inline(never)]
+    fn refused(&self, error: &Error) -> DgsError {
+        let mut refused = DgsError::from(*error);
+        if error.kind == ErrorKind::Capacity && error.field == "arena" {
+            let lacking = refused.least.saturating_sub(refused.found) as usize;
+            refused.found = self.len as u64;
+            // What no memory holds stays out of reach.
+            let least = self.len.saturating_add(lacking).checked_next_multiple_of(DGS_ALIGN);
+            refused.least = least.unwrap_or(usize::MAX) as u64;
+            refused.most = refused.least;
         }
-        let found = self.len as u64;
-        let least = found.saturating_add(plain.least.saturating_sub(plain.found));
-        let least = least.checked_next_multiple_of(DGS_ALIGN as u64).unwrap_or(u64::MAX);
-        DgsError { found, least, most: least, ..plain }
+        refused
     }
 
     /// A caller's list outside the block; null is an empty one.
@@ -297,7 +312,7 @@ pub unsafe extern "C" fn dgs_required(
         call(player, error, |player| {
             player.place(bytes, "bytes")?;
             let message = player.list(message, message_len, "message")?;
-            let required = player.waiting()?.required(message).map_err(|error| player.refused(error))?;
+            let required = player.waiting()?.required(message).map_err(|error| player.refused(&error))?;
             player.put(bytes, block_bytes(required.words), "bytes")
         })
     }
@@ -323,7 +338,7 @@ pub unsafe extern "C" fn dgs_manifest(
                 Ok(playing) => player.state = State::Playing(playing),
                 Err((waiting, refused)) => {
                     player.state = State::Waiting(waiting);
-                    return Err(player.refused(refused));
+                    return Err(player.refused(&refused));
                 }
             }
             Ok(())
