@@ -161,13 +161,19 @@ def test_progress_is_heard_and_may_stop_the_work(scene: dgs.Scene) -> None:
 
 def test_ctrl_c_ends_an_encoding(scene: dgs.Scene) -> None:
     import _thread
+    import signal
 
     def interrupt(stage: str, share: float) -> None:
         if stage == "decide":
             _thread.interrupt_main()
 
-    with pytest.raises(KeyboardInterrupt):
-        dgs.encode(scene, pictures=0, progress=interrupt)
+    # What runs in the background of a shell begins with the signal ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            dgs.encode(scene, pictures=0, progress=interrupt)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_several_threads_play_one_stream(encoded: dgs.Encoded) -> None:
