@@ -89,7 +89,7 @@ unsafe fn report(block: (usize, usize), error: *mut DgsError, run: impl FnOnce()
     }
 }
 
-/// Puts `found` into the error of the caller, unless that is null, and gives the status. Apart from [`report`],
+/// Puts `found` into the caller's error, unless that is null, and gives the status. Apart from [`report`],
 /// which is compiled into every call.
 #[cold]
 #[inline(never)]
