@@ -173,9 +173,17 @@ pub(crate) fn write_pair(path: &Path, bytes: &[u8], beside: (&Path, &[u8])) -> R
         Ok::<_, anyhow::Error>(pending)
     };
     let (first, second) = (pending(beside.0, beside.1)?, pending(path, bytes)?);
-    // What refers to the other comes last, so that whoever finds it finds both.
-    first.finish()?;
-    second.finish()
+    let failed = || format!("{}: cannot write", path.display());
+    for pending in [&first, &second] {
+        keep_permissions(pending.file.as_file(), &pending.target).with_context(failed)?;
+    }
+    let renamed = {
+        // Nobody interrupts between the two. What refers to the other comes last, so that whoever finds it
+        // finds both.
+        let _uninterrupted = leftovers::uninterrupted();
+        fs::rename(first.path(), &first.target).and_then(|()| fs::rename(second.path(), &second.target))
+    };
+    renamed.and_then(|()| sync_folder(folder_of(&second.target))).with_context(failed)
 }
 
 /// Refuses a file that [`write_pair`] would write beside `path`, and that nobody named; asked before the
@@ -237,14 +245,17 @@ impl PendingFile {
     pub fn finish(self) -> Result<()> {
         let Self { file, unfinished, target } = self;
         let failed = || format!("{}: cannot write", target.display());
-        if let Ok(existing) = fs::metadata(&target) {
-            file.as_file().set_permissions(existing.permissions()).with_context(failed)?;
-        }
+        keep_permissions(file.as_file(), &target).with_context(failed)?;
         file.as_file().sync_all().with_context(failed)?;
         file.persist(&target).map_err(|e| e.error).with_context(failed)?;
         drop(unfinished);
         sync_folder(folder_of(&target)).with_context(failed)
     }
+}
+
+/// Gives `file` the permissions of what it will replace, where there is something.
+fn keep_permissions(file: &fs::File, target: &Path) -> io::Result<()> {
+    fs::metadata(target).map_or(Ok(()), |existing| file.set_permissions(existing.permissions()))
 }
 
 /// A temporary file beside `path`.

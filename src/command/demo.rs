@@ -20,7 +20,7 @@ use self::pictures::{Measured, Rendering};
 
 use crate::{
     args::{Demo, TransportName},
-    figures::{Machine, frozen, mean},
+    figures::{Machine, frozen, mean, startup},
     files::{self, MadeFolder},
     output::VerbOutput,
     pipeline::{self, Loaded, Quiet},
@@ -53,9 +53,11 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
     files::write(&report, html::page(&page).as_bytes())?;
     let json = serde_json::to_value(&page)?;
     files::write(&figures, serde_json::to_string_pretty(&json)?.as_bytes())?;
+    let started = |run: &SchedulerRun| startup(run.delivery.startup_ms, run.delivery.startup_reached);
+    let wide = page.runs.iter().map(|run| started(run).len()).max().map_or(8, |longest| longest.max(8));
     let mut text = format!("{}\n", page.title);
     text += &format!(
-        "  {:17} {:>8} {:>9} {:>7} {:>6} {:>7} {:>6} {:>8} {:>6} {:>7} {:>10}\n",
+        "  {:17} {:>8} {:>9} {:>7} {:>6} {:>7} {:>6} {:>wide$} {:>6} {:>7} {:>10}\n",
         "scheduler",
         "PSNR",
         "worst 10%",
@@ -70,7 +72,7 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
     );
     for run in &page.runs {
         text += &format!(
-            "  {:17} {:>5.2} dB {:>6.2} dB {:>7.5} {:>6.4} {:>7.5} {:>6} {:>8} {:>5.1}% {:>7.3} {:>6.1} \
+            "  {:17} {:>5.2} dB {:>6.2} dB {:>7.5} {:>6.4} {:>7.5} {:>6} {:>wide$} {:>5.1}% {:>7.3} {:>6.1} \
              KiB\n",
             run.name,
             run.mean_psnr_db,
@@ -79,7 +81,7 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
             run.mean_ssim,
             run.flicker,
             run.frozen_frames,
-            run.delivery.startup_ms.map_or("never".into(), |ms| format!("{ms:.0} ms")),
+            started(run),
             100.0 * run.delivery.miss_rate,
             run.delivery.utility,
             run.delivery.waste.total_bytes() as f64 / 1024.0

@@ -31,9 +31,9 @@ use crate::{
     pipeline::{self, Frames, Quiet, Watching},
 };
 
-/// What a clip that repeats is numbered by.
-const NUMBERED: &str = "frames were shown more than once: files in a folder, and psnr_db in --json, are \
-                        numbered in the order of showing";
+/// What a clip is numbered by that began again.
+const NUMBERED: &str = "the clip began again: files in a folder, and psnr_db in --json, are numbered in the \
+                        order of showing";
 
 /// Remembers the state in which each frame was shown; pictures are drawn once nothing has to be on time.
 struct States<'a> {

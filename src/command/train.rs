@@ -22,7 +22,7 @@ use trainer_host::train::{self, Checkpoint, Dataset, DynamicScene, Test, Views, 
 
 use self::{
     delivery::Pictures,
-    encoder_options::EncoderOptions,
+    encoder_options::{EncoderOptions, Rounded},
     encoding::{Written, check_size, steps_are_typed, within_loss},
     epochs::Plan,
     figures::{Figure, decoded, lpips},
@@ -101,6 +101,9 @@ fn train(
         );
     }
     let begun = if args.resume { Plan::begun(&folder)? } else { None };
+    if let (None, Some(plan)) = (&resumed, &begun) {
+        plan.check_frames(args)?;
+    }
     let trained_for = match (&resumed, &begun) {
         (Some(checkpoint), _) => checkpoint.options().finish.target_bytes,
         (None, Some(plan)) => plan.target_bytes(args),
@@ -122,14 +125,14 @@ fn train(
         let known = (dataset, input.notes.as_slice());
         return delivery::run(args, &folder, scene, known, (options, backend), &stop, quiet);
     }
-    let has_rounded = match (&resumed, &begun) {
-        (Some(checkpoint), _) => checkpoint.has_rounded(),
-        (None, Some(plan)) => plan.has_rounded(args)?,
-        (None, None) => false,
+    let rounded = match (&resumed, &begun) {
+        _ if steps_are_typed(args) => Rounded::Nothing,
+        (Some(checkpoint), _) if checkpoint.has_rounded() => Rounded::All,
+        (None, Some(plan)) => plan.rounded(args)?,
+        (Some(_), _) | (None, None) => Rounded::Nothing,
     };
-    let has_rounded = has_rounded && !steps_are_typed(args);
     let encoder = EncoderOptions::of(args, trained_for);
-    let (encoder, changes) = encoder.taken_up(&folder.encoder, args.resume, has_rounded, dataset.frames)?;
+    let (encoder, changes) = encoder.taken_up(&folder.encoder, args.resume, rounded, dataset.frames)?;
     let with = (delivery.map(|options| (options, backend)), &encoder, network.as_ref());
     let plan = match scene {
         Some(scene) => Plan::of(args, (&folder, &opened), scene, (dataset, rate), &stop, quiet)?,

@@ -14,7 +14,6 @@ use super::*;
 
 /// Frames of a window, which is shown for a second and a half.
 const WINDOW: u32 = 15;
-const WINDOWS: usize = 10;
 /// Between two windows that are written: what a busy machine does a second late is still in time.
 const HALF_A_SECOND: Duration = Duration::from_millis(500);
 
@@ -43,12 +42,22 @@ impl FrameSink for Saying {
     }
 }
 
-/// Manifest and bytes of every window of fifteen seconds, as who makes a stream writes them.
-fn windows() -> (Vec<u8>, Vec<Vec<u8>>) {
-    let flags =
-        ["dgs", "demo", "--window-frames", "15", "--pictures", "2", "--coarseness", "0.5", "--fps", "10"];
+/// Manifest and bytes of every window of a clip of so many frames, as who makes a stream writes them.
+fn windows(frames: u32, per_second: &str) -> (Vec<u8>, Vec<Vec<u8>>) {
+    let flags = [
+        "dgs",
+        "demo",
+        "--window-frames",
+        "15",
+        "--pictures",
+        "2",
+        "--coarseness",
+        "0.5",
+        "--fps",
+        per_second,
+    ];
     let Ok(Cli { verb: Verb::Demo(args), .. }) = Cli::try_parse_from(flags) else { panic!("{flags:?}") };
-    let scene = pipeline::import("synth:cloth:1000:150", &args.source).unwrap().scene;
+    let scene = pipeline::import(&format!("synth:cloth:1000:{frames}"), &args.source).unwrap().scene;
     let options = pipeline::encode_options(&args.codec, Protection::NONE);
     let stream = pipeline::encode(&scene, &options, Quiet(true)).unwrap().stream;
     let (map, manifest) = (PacketMap::of(&stream).unwrap(), stream.manifest().unwrap());
@@ -56,7 +65,7 @@ fn windows() -> (Vec<u8>, Vec<Vec<u8>>) {
         Span::Canonical(_) => 0,
         Span::Motion(id) => (manifest.window(id).unwrap().first_frame / WINDOW) as usize,
     };
-    let mut windows = vec![Vec::new(); WINDOWS];
+    let mut windows = vec![Vec::new(); frames.div_ceil(WINDOW) as usize];
     for (id, packet) in stream.packets().iter().enumerate() {
         let window = map.placements(id).iter().map(|placement| window_of(placement.group.span)).max();
         let bytes = &mut windows[window.unwrap()];
@@ -92,7 +101,7 @@ async fn produce(windows: &[Vec<u8>], to: &Sender<Vec<u8>>) {
 
 #[test]
 fn a_viewer_ahead_of_a_stream_that_grows_waits_for_it() {
-    let (head, windows) = windows();
+    let (head, windows) = windows(150, "10");
     within(async {
         let (to, from) = channel();
         to.send(head).unwrap();
@@ -132,5 +141,32 @@ fn a_viewer_ahead_of_a_stream_that_grows_waits_for_it() {
         // What is there when the stream ends is sent to its end.
         let last = report.shown.last().unwrap();
         assert!(last.frame == 149 && last.levels > 3.9, "{last:?}");
+    });
+}
+
+/// The last window comes when its frames are over, which take less time than what tells a viewer elsewhere
+/// that nothing comes any more.
+#[test]
+fn the_end_of_a_stream_that_grows_is_waited_for() {
+    let (head, windows) = windows(45, "30");
+    within(async {
+        let (to, from) = channel();
+        to.send(head).unwrap();
+        windows[..2].iter().for_each(|window| to.send(window.clone()).unwrap());
+        let server = Running::offering(growing(from));
+        let config = server.client();
+        let (says, mut shown) = watch::channel(0);
+        let mut screen = Saying(says);
+        let viewer = async { play(&config, &mut screen, std::future::pending()).await.whole().unwrap() };
+        let producer = async {
+            drop(shown.wait_for(|frame| *frame == 44).await.unwrap());
+            tokio::time::sleep(HALF_A_SECOND).await;
+            to.send(windows[2].clone()).unwrap();
+            drop(to);
+        };
+        let (report, ()) = tokio::join!(viewer, producer);
+        let last = report.shown.last().unwrap();
+        assert!(last.frame == 44 && last.round > 0 && last.base_miss == 0.0, "{last:?}");
+        server.stop().await;
     });
 }

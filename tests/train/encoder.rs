@@ -43,6 +43,10 @@ fn frames_and_their_rate_stay_what_they_were() {
     assert!(error.contains("--frames is 3; 2, as before, is allowed"), "{error}");
     trained(&["fast", "-o", "out", "--resume", "--frames", "2", "--packet-bytes", "900"]);
     assert!(heard(&["inspect", "out/scene.dgs"]).contains("2 frames at 60 fps"));
+    // What was typed at the start holds later too, whatever the source says.
+    trained(&[&["fast", "-o", "typed", "--fps", "50"], &short[..]].concat());
+    trained(&["fast", "-o", "typed", "--resume", "--packet-bytes", "900"]);
+    assert!(heard(&["inspect", "typed/scene.dgs"]).contains("3 frames at 50 fps"));
 }
 
 /// A size that not even one Gaussian leaves room for is refused before anything is trained.

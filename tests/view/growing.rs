@@ -65,9 +65,14 @@ fn a_page_ahead_of_a_stream_that_grows_waits_for_it_and_shows_its_end_once() {
     // A window is whole when the next one begins: the newest one is that of frame 50.
     windows[3..7].iter().for_each(|window| live.write(window));
     page.browser.wait(PAGE_TIMEOUT_S, "player.session.seenUntil > 50 / 30").unwrap();
-    windows[7..].iter().for_each(|window| live.write(window));
+    windows[7..WINDOWS - 1].iter().for_each(|window| live.write(window));
+    // The last window is late: the page waits for it at the end.
+    page.browser.wait(PAGE_TIMEOUT_S, "player.session.isAhead && player.session.frame >= 140").unwrap();
+    assert_eq!(page.run("player.ended || player.session.seenUntil > 141 / 30"), false);
+    live.write(&windows[WINDOWS - 1]);
     live.end();
     page.browser.wait(PAGE_TIMEOUT_S, "player.ended").unwrap();
+    assert_eq!(page.run("player.session.seenUntil > 149 / 30"), true, "its last window is shown");
     sleep(Duration::from_millis(1500));
     assert_eq!(page.run("player.ended && heard.join() === 'pause,ended'"), true, "it is not shown again");
     // Who wants to see it again sees its newest window, once.

@@ -133,6 +133,7 @@ fn every_transport_brings_the_same_picture() {
 #[test]
 fn a_page_changes_the_link_and_the_scheduler_of_its_session() {
     let Some(mut page) = Page::blank_alone() else { return };
+    page.browser.before_pages(UNHURRIED).unwrap();
     let is_whole = format!("{STAND_INS} === 0 && player.session.estimatedQuality > 0.99");
     let free = ["--idle", "120"];
     // A server that grants nothing sends nothing again either: a page that forgot its packets would never
@@ -173,6 +174,7 @@ fn a_page_changes_the_link_and_the_scheduler_of_its_session() {
 #[test]
 fn a_paused_page_goes_on_refining() {
     let Some(mut page) = Page::blank_alone() else { return };
+    page.browser.before_pages(UNHURRIED).unwrap();
     let live = served::Live::start(&["--idle", "120"]);
     page.play(&format!("{}?transport=live&pixel-ratio=0.25&paused", live.page), SIDE / 4);
     page.run(&format!(
@@ -198,6 +200,7 @@ fn a_paused_page_goes_on_refining() {
 #[test]
 fn what_a_clock_waits_for_is_not_late() {
     let Some(mut page) = Page::blank_alone() else { return };
+    page.browser.before_pages(UNHURRIED).unwrap();
     let live = served::Live::start(&["--impair", "rate=20kbit", "--idle", "120"]);
     page.browser.before_pages(WITHOUT_TURNS).unwrap();
     page.browser.go(&format!("{}?transport=live&pixel-ratio=0.25", live.page)).unwrap();
@@ -222,6 +225,7 @@ fn what_a_clock_waits_for_is_not_late() {
 #[test]
 fn the_page_plays_what_is_still_being_written() {
     let Some(mut page) = Page::blank_alone() else { return };
+    page.browser.before_pages(UNHURRIED).unwrap();
     let bytes = served::encoded("synth:figure:1000:30", &["--window-frames", "10", "--pictures", "2"]);
     let live = served::Live::growing(&bytes);
     // The third window of ten frames. Until a busy server has read it, who comes begins before it.
@@ -337,6 +341,7 @@ fn a_page_is_live_again_after_its_server_was_gone() {
 #[test]
 fn a_file_that_is_no_stream_ends_nothing() {
     let Some(mut page) = Page::blank_alone() else { return };
+    page.browser.before_pages(UNHURRIED).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let (good, bad) = (folder.path().join("good.dgs"), folder.path().join("scan.ply"));
     std::fs::write(&good, stream(SMALL).to_bytes().unwrap()).unwrap();

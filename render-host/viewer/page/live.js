@@ -168,7 +168,7 @@ class Rounds {
   // A stream that grows: the round begins at its newest window, at `time`, seconds, whatever was asked for.
   async #begin(session, time) {
     // Its end is one: nothing of it is sent again.
-    [this.#grows, session.looping] = [true, false];
+    [this.#grows, session.grows, session.looping] = [true, true, false];
     // Who is ahead stands until there is a window that they have not seen.
     if (!session.isAhead || time >= this.#seenUntil) {
       session.goOn(time);

@@ -35,6 +35,8 @@ export function checkedLevel(name, level) {
 const PERFECT = { loss: 0, burst: 1, rate: 0, delay: 0, seed: 1 };
 
 export class Session extends Controls {
+  /** Whether the stream grows while it is shown: its end is waited for. */
+  grows = false;
   #decoding;
   #facts;
   #cap = LEVELS - 1;
@@ -229,7 +231,10 @@ export class Session extends Controls {
 
   /** Lets `dt` seconds pass: see `Controls`. */
   advance(dt) {
-    if (this.isAhead && this.playing) return WAITING;
+    // A stream that grows is not over before anything of its end has come.
+    const ends = this.time + dt * this.rate >= this.duration;
+    const waits = this.isAhead || (this.grows && !this.#hasCome && ends);
+    if (waits && this.playing) return WAITING;
     return super.advance(dt, this.#state.base_timeout, this.#state.missing);
   }
 

@@ -327,9 +327,13 @@ impl Engine {
                 let playback = session.playback_mut();
                 // Its end is one: nothing of it is sent again.
                 playback.set_looping(false);
-                // Who pauses it stays where they are.
-                if !std::mem::replace(&mut self.begun, true) || playback.playing() {
+                // Who pauses it stays where they are; at its end nobody has.
+                let has_ended = playback.time_s() >= playback.duration_s();
+                if !std::mem::replace(&mut self.begun, true) || playback.playing() || has_ended {
                     playback.seek(time_s);
+                }
+                if has_ended {
+                    playback.set_playing(true);
                 }
             }
             (Arrival::Network { by_server, by_scheduler }, Some(session)) => {

@@ -305,7 +305,8 @@ fn updated(
         let seconds = clock.elapsed().as_secs_f64();
         log.borrow_mut().add(before + seconds);
         say(&bar, update, tuning, (made, seconds), quiet);
-        let interrupted = stop.take();
+        // After the last update there is nothing to stop, and what comes next answers who asks.
+        let interrupted = update.updates < update.of && stop.take();
         let is_due = interrupted || update.updates == update.of || update.updates.is_multiple_of(every);
         if is_due && let Err(error) = save(folder, tuning, &log.borrow()) {
             unsaved.replace(Some(error));

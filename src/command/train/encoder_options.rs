@@ -11,6 +11,15 @@ use crate::{args::train::Train, files};
 
 /// Options by which a training chooses when it rounds its values; afterwards it keeps to what it chose.
 const ROUNDED_BY: [&str; 4] = ["--pictures", "--search", "--cluster-size", "--block-len"];
+/// How much of a training has rounded its values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Rounded {
+    Nothing,
+    /// Of a clip in epochs, some and not all.
+    SomeEpochs,
+    All,
+}
+
 /// What stands for an option that was not typed.
 const NONE: &str = "none";
 
@@ -59,16 +68,17 @@ impl EncoderOptions {
     }
 
     /// Takes them up in a training: writes them to the file at `path` where it begins, and says where it goes
-    /// on how they differ from those of that file. One that `has_rounded` keeps to what it rounded by; what
+    /// on how they differ from those of that file. What is `rounded` keeps to what it was rounded by; what
     /// comes back are the options that apply. Where no frames were typed they are those `of_source`.
     ///
     /// # Errors
-    /// As [`EncoderOptions::read`] and [`EncoderOptions::write`]; other frames than values are rounded for.
+    /// As [`EncoderOptions::read`] and [`EncoderOptions::write`]; other frames than values are rounded for;
+    /// other options than some epochs are rounded by, where the rest is not rounded yet.
     pub(super) fn taken_up(
         mut self,
         path: &Path,
         resumes: bool,
-        has_rounded: bool,
+        rounded: Rounded,
         of_source: usize,
     ) -> Result<(Self, Vec<String>)> {
         if !resumes {
@@ -81,14 +91,23 @@ impl EncoderOptions {
             typed.cloned().unwrap_or_else(|| of_source.to_string())
         };
         let [found, was] = [&self, &before].map(frames);
-        if has_rounded && found != was {
+        if rounded == Rounded::All && found != was {
             bail!(
                 "--frames is {found}; {was}, as before, is allowed: the training has rounded its values \
                  for so many frames"
             );
         }
-        let stays = |change: &String| has_rounded && ROUNDED_BY.iter().any(|name| change.starts_with(name));
+        let stays = |change: &String| {
+            rounded != Rounded::Nothing && ROUNDED_BY.iter().any(|name| change.starts_with(name))
+        };
         let (stay, apply): (Vec<String>, Vec<String>) = self.changes(&before).into_iter().partition(stays);
+        if rounded == Rounded::SomeEpochs && !stay.is_empty() {
+            bail!(
+                "{}: epochs of the training have rounded their values by what was before; that alone is \
+                 allowed, as all epochs are rounded by the same",
+                stay.join(", ")
+            );
+        }
         let mut notes = Vec::new();
         if !apply.is_empty() {
             notes.push(format!(
@@ -142,6 +161,22 @@ mod tests {
 
     fn of(args: &str, target_bytes: u64) -> EncoderOptions {
         EncoderOptions::of(&parsed(["scene"].into_iter().chain(args.split_whitespace())), target_bytes)
+    }
+
+    #[test]
+    fn epochs_are_rounded_by_the_same_options() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("encoder.json");
+        of("", 0).write(&path).unwrap();
+        let resumed = |rounded: Rounded| of("--cluster-size 64", 0).taken_up(&path, true, rounded, 60);
+        let error = resumed(Rounded::SomeEpochs).unwrap_err().to_string();
+        assert!(error.starts_with("--cluster-size 64 (before: 512): epochs of the training"), "{error}");
+        for (rounded, words) in
+            [(Rounded::Nothing, "is written with these"), (Rounded::All, "keeps to those")]
+        {
+            let (_, notes) = resumed(rounded).unwrap();
+            assert!(notes.len() == 1 && notes[0].contains(words), "{notes:?}");
+        }
     }
 
     #[test]

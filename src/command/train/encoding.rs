@@ -95,7 +95,8 @@ impl Bracket {
             (Some(low), Some(high)) if !(1.02 * low..0.98 * high).contains(&guess) => {
                 Some((low * high).sqrt())
             }
-            _ => Some(guess),
+            // At the ends of what is allowed a guess stays where it was.
+            _ => (guess != coarseness).then_some(guess),
         }
     }
 }
@@ -222,7 +223,10 @@ pub(super) fn within_loss(
     let mut next_after = |found: &Attempt| {
         bracket.next(found.coarseness, found.lost_db <= allowed, found.next_coarseness(allowed))
     };
-    let mut next = next_after(&best);
+    // Of a scene that was rounded while it stands still no steps are left to choose.
+    let has_choice =
+        decisions.is_none() || scene.epochs().iter().any(|epoch| !epoch.attributes().is_constant());
+    let mut next = next_after(&best).filter(|_| has_choice);
     for number in 2..=ATTEMPTS {
         let Some(coarseness) = next else { break };
         if (NEAR * allowed..=allowed).contains(&best.lost_db) {
@@ -286,6 +290,7 @@ mod tests {
         assert_eq!(bracket.next(1.2, true, 2.4), Some((1.2f64 * 1.5).sqrt()));
         assert_eq!(bracket.next(1.35, true, 1.4), Some(1.4));
         assert_eq!(bracket.next(1.4, false, 1.38), None, "as near as that");
+        assert_eq!(Bracket::default().next(4.0, true, 4.0), None, "none are coarser");
     }
 
     #[test]

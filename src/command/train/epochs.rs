@@ -17,6 +17,7 @@ use trainer_host::{
 };
 
 use super::{
+    encoder_options::Rounded,
     folder::{Folder, Opened, epoch_folder},
     interruption::Interruption,
     log::Log,
@@ -59,6 +60,21 @@ impl Plan {
         Ok(Some(serde_json::from_slice(&std::fs::read(path).with_context(failed)?).with_context(failed)?))
     }
 
+    /// Refuses other frames than those of the source: which ones an epoch has is known.
+    ///
+    /// # Errors
+    /// Frames that were typed.
+    pub(super) fn check_frames(&self, args: &Train) -> Result<()> {
+        let last = self.parts.frames.last().map_or(0, |frames| frames.end);
+        if let Some(frames) = args.frames {
+            bail!(
+                "--frames is {frames}; the training is of a clip in epochs, which has the {last} of its \
+                 source: leave it out"
+            );
+        }
+        Ok(())
+    }
+
     /// The plan that the folder of `args` holds, or that trials lead to; nothing where nothing was tried. The
     /// clip has so many frames per second.
     ///
@@ -78,12 +94,6 @@ impl Plan {
             let last = plan.parts.frames.last().map_or(0, |frames| frames.end);
             if last != scene.frames() {
                 bail!("{}: of {last} frames; the scene has {}", path.display(), scene.frames());
-            }
-            if let Some(frames) = args.frames {
-                bail!(
-                    "--frames is {frames}; the training is of a clip in epochs, which has the {last} of its \
-                     source: leave it out"
-                );
             }
             check_options(args, &plan.options).with_context(|| path.display().to_string())?;
             return Ok(Some(plan));
@@ -236,23 +246,24 @@ impl Plan {
         args.codec.target_bytes.unwrap_or(self.options.finish.target_bytes)
     }
 
-    /// Whether every part has begun to round its values.
+    /// How many parts have begun to round their values.
     ///
     /// # Errors
     /// A checkpoint that cannot be read.
-    pub(super) fn has_rounded(&self, args: &Train) -> Result<bool> {
-        for path in self.checkpoints(args) {
+    pub(super) fn rounded(&self, args: &Train) -> Result<Rounded> {
+        let paths = self.checkpoints(args);
+        let mut rounded = 0;
+        for path in paths.iter().filter(|path| path.is_file()) {
             let failed = || path.display().to_string();
-            if !path.is_file() {
-                return Ok(false);
-            }
             let checkpoint =
-                Checkpoint::from_bytes(&std::fs::read(&path).with_context(failed)?).with_context(failed)?;
-            if !checkpoint.has_rounded() {
-                return Ok(false);
-            }
+                Checkpoint::from_bytes(&std::fs::read(path).with_context(failed)?).with_context(failed)?;
+            rounded += usize::from(checkpoint.has_rounded());
         }
-        Ok(true)
+        Ok(match rounded {
+            0 => Rounded::Nothing,
+            some if some < paths.len() => Rounded::SomeEpochs,
+            _ => Rounded::All,
+        })
     }
 
     /// The checkpoint of each part.

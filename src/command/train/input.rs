@@ -67,11 +67,12 @@ impl Input {
     /// Frames per second of what is trained: of a scene its own, else what was typed, what a training that
     /// goes on was `begun` with, or the default.
     pub(super) fn frames_per_second(&self, args: &Train, begun: Option<f64>) -> f64 {
-        let usual = args.scene.frames_per_second();
-        // Where a source does not say, a scene has what was typed, or the default.
+        // An import says whether what was typed or what the source says holds.
         let own = self.scene.as_ref().map(Scene::frames_per_second);
-        let own = own.filter(|&rate| rate != usual || args.scene.fps.is_some());
-        own.or(args.scene.fps).or(begun).unwrap_or(usual)
+        match args.scene.fps {
+            Some(typed) => own.unwrap_or(typed),
+            None => begun.or(own).unwrap_or_else(|| args.scene.frames_per_second()),
+        }
     }
 }
 

@@ -157,8 +157,9 @@ struct InFrames<S> {
 
 impl<S: DynamicScene> DynamicScene for InFrames<S> {
     fn pose(&self, time: f32, out: &mut Instant) {
-        let last = self.frames.saturating_sub(1).max(1) as f64;
-        self.scene.pose(((f64::from(time) * last).round() / last) as f32, out);
+        let last = self.frames.saturating_sub(1) as f64;
+        let nearest = if last > 0.0 { (f64::from(time) * last).round() / last } else { 0.0 };
+        self.scene.pose(nearest as f32, out);
     }
 
     fn footprint(&self) -> Footprint {
@@ -222,6 +223,6 @@ mod tests {
             instant.gaussians[0].position[0]
         };
         assert_eq!([0.0, 0.2, 0.3, 0.7, 0.8, 1.0].map(|t| at(3, t)), [0.0, 0.0, 0.5, 0.5, 1.0, 1.0]);
-        assert_eq!([at(1, 0.2), at(101, 0.25)], [0.0, 0.25]);
+        assert_eq!([at(1, 0.2), at(1, 0.8), at(2, 0.8), at(101, 0.25)], [0.0, 0.0, 1.0, 0.25]);
     }
 }

@@ -77,7 +77,8 @@ pub(super) fn begin<'d>(
     backend: &Backend,
 ) -> Result<(Trainer<'d>, Begun)> {
     let most = resumed.as_ref().map_or(options, |checkpoint| checkpoint.options()).max_gaussians;
-    let frames = args.frames.unwrap_or(dataset.frames);
+    // A checkpoint is of the dataset's frames, a stream of those that are typed.
+    let frames = args.frames.map_or(dataset.frames, |frames| frames.max(dataset.frames));
     if most.saturating_mul(frames) > Checkpoint::MAX_POSED {
         bail!(
             "--gaussians is {most} over {frames} frames; up to {} in all frames together are allowed",

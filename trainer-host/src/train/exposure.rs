@@ -37,24 +37,26 @@ struct Exposure {
 }
 
 /// Which exposure each training view has, by the place that it was taken from. None at a `rate` of 0; of one
-/// place, whose exposure is the mean; of photographs with outlines, which are drawn and not taken; and unless
-/// there are two photographs of every place or more: one alone would explain by its exposure what it shows.
-pub(super) fn of_views(dataset: &Dataset, rate: f32) -> Vec<usize> {
+/// place, whose exposure is the mean; of photographs with outlines, which are drawn and not taken; and of a
+/// photograph that is alone at its place, which would explain by its exposure what it shows.
+pub(super) fn of_views(dataset: &Dataset, rate: f32) -> Vec<Option<usize>> {
+    let photographs = dataset.train.photographs();
+    let place = |view: &PosedPhotograph| view.camera.centre().map(f64::to_bits);
+    let mut taken: BTreeMap<[u64; 3], usize> = BTreeMap::new();
+    photographs.iter().for_each(|view| *taken.entry(place(view)).or_default() += 1);
     let mut places = BTreeMap::new();
     let of_view = |view: &PosedPhotograph| {
         let next = places.len();
-        *places.entry(view.camera.centre().map(f64::to_bits)).or_insert(next)
+        (taken[&place(view)] > 1).then(|| *places.entry(place(view)).or_insert(next))
     };
-    let exposures: Vec<usize> = dataset.train.photographs().iter().map(of_view).collect();
-    let mut photographs = vec![0; count(&exposures)];
-    exposures.iter().for_each(|&exposure| photographs[exposure] += 1);
-    let is_rig = photographs.len() > 1 && photographs.iter().all(|&of_place| of_place > 1);
-    if rate == 0.0 || dataset.has_alpha || !is_rig { Vec::new() } else { exposures }
+    let exposures: Vec<Option<usize>> = photographs.iter().map(of_view).collect();
+    let learns = rate != 0.0 && !dataset.has_alpha && places.len() > 1;
+    if learns { exposures } else { vec![None; photographs.len()] }
 }
 
 /// How many different ones there are of `exposures`.
-pub(super) fn count(exposures: &[usize]) -> usize {
-    exposures.iter().max().map_or(0, |last| last + 1)
+pub(super) fn count(exposures: &[Option<usize>]) -> usize {
+    exposures.iter().flatten().max().map_or(0, |last| last + 1)
 }
 
 impl Exposures {

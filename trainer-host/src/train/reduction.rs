@@ -29,8 +29,8 @@ pub struct Trimmed {
 pub struct ReductionReport {
     /// What was cut, if anything was.
     pub trimmed: Option<Trimmed>,
-    /// Of photographs that are reduced with larger ones, or for want of a smaller divisor, to less than half
-    /// of what is allowed, the smallest: width and height before and after, pixels.
+    /// Of photographs that are reduced with larger ones to less than half of what is allowed, the smallest:
+    /// width and height before and after, pixels.
     pub much_reduced: Option<[(u32, u32); 2]>,
     /// The longest side that photographs are trained on with, pixels, where that is more than is allowed.
     pub too_long: Option<u32>,
@@ -52,7 +52,8 @@ impl Reduction {
     /// Of photographs of `sizes` (width and height, pixels): no side is longer than `max_side` pixels
     /// afterwards, and all can be halved again and again. What does not divide is cut off at the right and at
     /// the bottom, fewer pixels than a 64th of the shortest side, or than photographs are reduced by;
-    /// photographs that divide are not cut. With it what a person should know.
+    /// photographs that divide by at most twice what is needed are not cut. With it what a person should
+    /// know.
     pub(super) fn of(sizes: &[(u32, u32)], max_side: u32) -> (Self, ReductionReport) {
         let sides: Vec<u32> = sizes.iter().flat_map(|&(width, height)| [width, height]).collect();
         let multiple = divisor(&sides, max_side);
@@ -120,10 +121,11 @@ impl Reduction {
 /// What every side is to be a multiple of: 1 where nothing has to be cut, or sides are too short for that.
 fn divisor(sides: &[u32], max_side: u32) -> u32 {
     let (Some(&longest), Some(&shortest)) = (sides.iter().max(), sides.iter().min()) else { return 1 };
-    if exact_reduction(sides.iter().copied(), max_side).is_some() {
+    let base = (1..=MAX_REDUCED).find(|by| longest / by <= max_side).unwrap_or(MAX_REDUCED);
+    // Pixels are cut off rather than photographs made more than twice as small as they have to be.
+    if exact_reduction(sides.iter().copied(), max_side).is_some_and(|by| by <= 2 * base) {
         return 1;
     }
-    let base = (1..=MAX_REDUCED).find(|by| longest / by <= max_side).unwrap_or(MAX_REDUCED);
     let halves = [8, 4, 2].into_iter().find(|by| shortest / base / by >= MIN_SIDE).unwrap_or(1);
     if shortest / base == 0 { 1 } else { base * halves }
 }
@@ -214,8 +216,11 @@ mod tests {
         assert_eq!(of(&[(640, 480), (320, 640)], 64), (None, None));
         // Small ones beside others that need no reduction are as they were.
         assert_eq!(of(&[(64, 48), (8, 8)], 64), (None, None));
-        // The only divisor is a large one.
-        assert_eq!(of(&[(707, 707)], 700), (Some([(707, 707), (101, 101)]), None));
+        // The only divisor is a large one: a few pixels are cut off and a small one is taken.
+        let (reduction, report) = Reduction::of(&[(707, 707), (707, 707)], 700);
+        assert_eq!((report.much_reduced, report.too_long), (None, None));
+        assert_eq!(report.trimmed.map(|trimmed| trimmed.after), Some((704, 704)));
+        assert_eq!(reduction, Reduction { multiple: 8, by: 2 });
         // Thin ones are only reduced by what divides them, and no photograph more than 64 times.
         assert_eq!(of(&[(2000, 10)], 64), (None, Some(200)));
         assert_eq!(of(&[(8192, 8192)], 16), (None, Some(128)));

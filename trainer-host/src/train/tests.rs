@@ -92,7 +92,6 @@ fn a_scene_for_pixels_is_right_at_other_sizes() {
     assert!(pixel_twice > twice + 0.5, "at twice the size {pixel_twice} and {twice} dB");
 }
 
-/// Of balls over a floor the floor stands still and the balls do not: pictures of training views decide.
 /// Half of the time each channel is over the opposite background: an outline is found, and not only colours
 /// that explain one of the two.
 #[test]

@@ -66,8 +66,8 @@ pub struct Trainer<'a> {
     /// What to fall back to.
     fallback: State,
     order: ViewOrder,
-    /// Which exposure each view has; none, where they have none.
-    exposures: Vec<usize>,
+    /// Which exposure each view has.
+    exposures: Vec<Option<usize>>,
     memory: Memory,
     finisher: Finisher,
 }
@@ -337,8 +337,7 @@ impl<'a> Trainer<'a> {
         let counted = self.options.density == DensityControl::Split && progress < schedule.density_end;
         statistics.clear();
         let statistics = counted.then_some(statistics);
-        let exposed =
-            self.exposures.get(view).map(|&index| Exposed::new(&loss, self.state.exposures.get(index)));
+        let exposed = self.exposures[view].map(|index| Exposed::new(&loss, self.state.exposures.get(index)));
         let taken: &dyn Loss = exposed.as_ref().map_or(&loss, |exposed| exposed);
         differentiator
             .differentiate(&splats, &camera, &settings, taken, gradients, statistics)
@@ -378,7 +377,7 @@ impl<'a> Trainer<'a> {
         gaussians.step(rates, step);
         let rate = caution * schedule::node_rate(&self.options, progress);
         nodes.step(AdamStep { rate, second_decay: 0.99, ..step });
-        if let Some(&index) = self.exposures.get(view) {
+        if let Some(index) = self.exposures[view] {
             let rate = caution * schedule::exposure_rate(&self.options, progress);
             state.exposures.step(index, self.memory.exposure_slopes, rate);
         }
@@ -445,7 +444,7 @@ impl<'a> Trainer<'a> {
         self.state.stands += 1;
         let reduced = self.pyramid.divisor(self.state.size);
         let State { model, exposures, .. } = &mut self.state;
-        let exposure_of = |view: usize| self.exposures.get(view).map(|&index| exposures.get(index));
+        let exposure_of = |view: usize| self.exposures[view].map(|index| exposures.get(index));
         let (views, background) = (self.views, self.options.background);
         let trial = Trial { views, exposure_of: &exposure_of, reduced, background };
         let most = self.options.stand_still_within * self.region.extent.half_side as f32;

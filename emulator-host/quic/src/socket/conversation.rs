@@ -136,7 +136,7 @@ impl<'c> Conversation<'c> {
     /// Shows and says what is due at `now`.
     async fn look(&mut self, now: Instant) -> Result<Next, PlayError> {
         self.playback.show_due(self.screen)?;
-        let is_over = self.playback.is_over();
+        let is_over = self.playback.is_over() && !self.playback.is_ahead();
         // A stream that grows has no begin to go back to.
         if is_over && (!self.config.loops || self.playback.grows()) {
             return Ok(Next::Bye);

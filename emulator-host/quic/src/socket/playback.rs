@@ -413,6 +413,11 @@ impl Playback {
         self.receiver.is_over()
     }
 
+    /// Whether playout has run ahead of a stream that grows, or to its end before anything of that has come.
+    pub(super) fn is_ahead(&self) -> bool {
+        self.ahead_since.is_some()
+    }
+
     /// Finds that a stream that grows is not there yet where it is shown: nothing has come of its window, or
     /// of its epoch where nothing moves.
     fn note_missing(&mut self, frame: u32, has_come: bool) {
@@ -422,7 +427,9 @@ impl Playback {
             return;
         }
         self.missing += self.interval;
-        if self.missing >= AHEAD {
+        // After the last frame none shows whether more comes.
+        let is_last = frame + 1 >= self.report.frames;
+        if self.missing >= AHEAD || is_last {
             (self.missing, self.ahead_since) = (Nanos::ZERO, Some(Instant::now()));
         }
     }

@@ -94,6 +94,12 @@ fn a_stream_that_grows_is_shown_from_where_it_begins_and_once() {
     engine.act(Act::Toggle, SIZE).unwrap();
     assert_eq!(begun(&mut engine, 0.7), Some(0.7));
     assert!(!engine.session.as_ref().unwrap().playback().looping());
+    // At its end nobody has paused it: what comes after all is shown.
+    engine.session.as_mut().unwrap().playback_mut().seek(f64::MAX);
+    engine.tick(0.1, None, SIZE).unwrap();
+    assert!(!engine.session.as_ref().unwrap().playback().playing());
+    assert_eq!(begun(&mut engine, 0.6), Some(0.6));
+    assert!(engine.session.as_ref().unwrap().playback().playing());
     // Another one begins anew, and a file repeats.
     engine.play("other".into(), Feed::file(file()));
     engine.tick(0.0, None, SIZE).unwrap();

@@ -65,3 +65,16 @@ fn a_training_with_exposures_goes_on_bit_for_bit_and_others_have_none() {
         assert_eq!(Trainer::new(&dataset, &options()).unwrap().exposures().count(), 0);
     }
 }
+
+/// What one photograph shows is not taken for its exposure, and the other cameras keep theirs.
+#[test]
+fn a_photograph_alone_at_its_place_has_no_exposure() {
+    let whole = unlike_cameras();
+    let photographs = whole.train.photographs();
+    let train = Views::new(photographs[..photographs.len() - 1].to_vec()).unwrap();
+    let lacking = Dataset { train, ..whole };
+    let trained = trained(&lacking, &options(), 5);
+    assert_eq!(trained.exposures().count(), 11);
+    let has = |view: usize| trained.exposure_of(view).is_some();
+    assert_eq!((0..24).filter(|&view| !has(view)).collect::<Vec<_>>(), [11, 23]);
+}

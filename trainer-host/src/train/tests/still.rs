@@ -2,6 +2,7 @@
 
 use super::*;
 
+/// Of balls over a floor the floor stands still and the balls do not: pictures of training views decide.
 #[test]
 fn what_does_not_move_is_stood_still() {
     let dataset = dataset(synth::SynthKind::Balls, 8, 12);

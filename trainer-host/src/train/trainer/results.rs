@@ -38,16 +38,17 @@ impl Trainer<'_> {
         &self.state.finishing.prunings
     }
 
-    /// By place, factors of r g b and offsets in display values that turn a picture of the scene into one
-    /// that was taken there; none where none are learnt.
+    /// By place of several photographs, factors of r g b and offsets in display values that turn a picture of
+    /// the scene into one that was taken there; none where none are learnt.
     pub fn exposures(&self) -> impl Iterator<Item = [[f32; 3]; 2]> {
         (0..self.state.exposures.len()).map(|index| self.state.exposures.get(index))
     }
 
     /// The exposure (factors of r g b, offsets in display values) of the place that the training view of
-    /// index `view` was taken from; `None` past the last view, or where no exposures are learnt.
+    /// index `view` was taken from; `None` past the last view, or where that place has none.
     pub fn exposure_of(&self, view: usize) -> Option<[[f32; 3]; 2]> {
-        self.exposures.get(view).map(|&index| self.state.exposures.get(index))
+        let index = self.exposures.get(view).copied().flatten();
+        index.map(|index| self.state.exposures.get(index))
     }
 
     /// Bytes that the canonical values of the stream are estimated to take, once they are rounded.
