@@ -290,11 +290,10 @@ pub fn truncate(
     lambda: f64,
     quiet: Quiet,
 ) -> Result<(Encoded, utility::Truncated)> {
-    let (map, received) = (PacketMap::of(&whole.stream)?, whole.stream.receive()?);
     let cameras = utility::truncation_cameras(scene)?;
     let (references, how) =
         (utility::References::renders(scene, &cameras, &cameras), utility::UtilityOptions::complete());
-    let table = utilities(&references, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
+    let table = utilities(&references, &whole.stream, &how, None, quiet, &mut |_| ())?;
     let progress = Progress::new("encode", quiet.0);
     let report = |stage, share| progress.heard(stage, share);
     utility::truncate(scene, whole, &table, lambda, options.table_choices, &report).context("cannot encode")

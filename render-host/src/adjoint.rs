@@ -168,7 +168,7 @@ fn differentiate(
         blend::blend(&projected.splats, bins, band, picture, settings, statistics.is_some(), tiles);
         non_finite += blend::gather(tiles, bins, columns, settings.parallel, ellipses, &mut background);
         if let Some(statistics) = &mut statistics {
-            blend::gather_statistics(tiles, bins, columns, statistics);
+            blend::gather_statistics(tiles, bins, columns, settings.parallel, statistics);
         }
     }
     project::project(splats, camera, settings, projected, ellipses, chunks, out);

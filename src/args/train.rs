@@ -117,7 +117,7 @@ pub struct Train {
     pub delivery: Option<String>,
     /// With --delivery: choose the rank of the shared temporal basis before, by validation, in place of
     /// --rank. Ranks 0 to 8 are tried with three seeds each, as 27 fine-tunings of half as many updates, on
-    /// pictures (validation.every in the file of options) that are not trained on. Writes ranks.json.
+    /// pictures for validation alone. Writes ranks.json.
     #[arg(long, requires = "delivery", conflicts_with = "rank")]
     pub choose_rank: bool,
     /// Largest loss of PSNR by encoding, dB.
@@ -131,17 +131,21 @@ pub struct Train {
         conflicts_with = "fineness", allow_negative_numbers = true
     )]
     pub encoding_loss: f64,
-    /// Weights of LPIPS (AlexNet, safetensors), to measure it too; FLIP is always measured.
+    /// Weights of LPIPS (AlexNet, safetensors), to measure it too on test views of 31 pixels a side or more;
+    /// FLIP is measured wherever there are test views.
     #[arg(long, value_name = "FILE")]
     pub lpips: Option<PathBuf>,
     /// Also measure what each group of packets adds to a picture, against the training photographs, and write
     /// it beside the stream (scene.utility.json); the test photographs are a check on it.
     #[arg(long)]
     pub utility: bool,
-    /// Pictures that fine-tuning compares with, at most; one in five of them is for validation.
-    #[arg(long, default_value_t = 64, value_parser = whole::<usize>(5..=10_000, "pictures"))]
+    /// Pictures that fine-tuning compares with, at most. Candidates are compared on a fifth as many validation
+    /// photographs, or, where a dataset has none, on one in five of these pictures, which no update is made on
+    /// (validation.every in the file of --delivery).
+    #[arg(long, default_value_t = 64, requires = "delivery", value_parser = whole::<usize>(5..=10_000, "pictures"))]
     pub references: usize,
-    /// Frames of the encoded scene [default: as many as the training photographs have instants].
+    /// Frames of the encoded scene [default: as many as the training photographs have instants; of
+    /// transforms.json, as many as all that it lists have].
     #[arg(long, value_parser = whole::<usize>(1..=100_000, "frames"))]
     pub frames: Option<usize>,
     /// Cameras around a scene that is rendered.

@@ -68,7 +68,7 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
     let damaged = !warnings.is_empty();
     let stored = match &clip {
         Some(clip) => utilities_of_clip(&beside, &whole, clip),
-        None => stored_utilities(&beside, manifest.raw()).and_then(|table| {
+        None => stored_utilities(&beside, stream).and_then(|table| {
             Ok((table, std::fs::read(&beside).with_context(|| format!("{}: cannot read", beside.display()))?))
         }),
     };

@@ -132,7 +132,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let damaged = damage.is_some();
     notes.extend(damage);
     let table =
-        pipeline::utilities(&sources, &content, &map, &options, Some(&cache), quiet, &mut |w| notes.push(w))?;
+        pipeline::utilities(&sources, &stream, &options, Some(&cache), quiet, &mut |w| notes.push(w))?;
 
     let graph = pipeline::graph(&stream, &map, Some(&table))?;
     let link = typed_link.before(&graph)?;

@@ -9,7 +9,6 @@ use trainer_host::{
     Scene, Stream,
     encode::{Decisions, EncodeOptions, Encoded, PacketReport, Protection, Report, Target, TargetViews},
     evaluator::{self, Segment},
-    stream::PacketMap,
     train::dataset,
     utility::{ReferencePhotographs, References, Table, Truncated, UtilityOptions, gain_cameras},
     viewpoint::{Framing, Ring},
@@ -235,11 +234,10 @@ fn utilities(
     quiet: Quiet,
     warnings: &mut Vec<String>,
 ) -> Result<Table> {
-    let (map, received) = (PacketMap::of(stream)?, stream.receive()?);
     let options = UtilityOptions::paper();
     let mut measure = |references: &References<'_>| {
         let warn = &mut |warning| warnings.push(warning);
-        pipeline::utilities(references, &received.content(), &map, &options, Some(path), quiet, warn)
+        pipeline::utilities(references, stream, &options, Some(path), quiet, warn)
     };
     if let Some(photographs) = photographs {
         return measure(&References::Photographs(photographs)).context("--photographs");

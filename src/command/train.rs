@@ -59,12 +59,18 @@ pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     let delivery = args.delivery.as_deref().map(delivery::read).transpose()?;
     let typed = options(args)?;
     typed.validate()?;
-    let resumed = resumed(args, &Folder::of(&args.out))?;
+    let folder = Folder::of(&args.out);
+    folder.check(args)?;
+    let resumed = resumed(args, &folder)?;
     let max_side = resumed.as_ref().map_or(typed.max_side, |checkpoint| checkpoint.options().max_side);
     let backend = Backend::open(args.device.into()).context("--device")?;
     let loading = Progress::new("read the dataset", quiet.0);
-    let input = Input::load(args, max_side)?;
+    let mut input = Input::load(args, max_side, resumed.as_ref())?;
     drop(loading);
+    let unused = args.codec.unused();
+    if !unused.is_empty() {
+        input.notes.push(format!("not used, being for --profile dgs1: {}", unused.join(", ")));
+    }
     let mut output = train(args, &input, resumed, delivery.as_ref(), &backend, quiet)?;
     if let Some(bytes) = Machine::peak_memory_bytes("self") {
         output.text += &format!("  peak memory {:.0} MB\n", bytes as f64 / 1e6);
@@ -89,9 +95,15 @@ fn train(
         );
     }
     let network = args.lpips.as_deref().map(lpips).transpose()?;
+    let smallest =
+        dataset.test.photographs().iter().map(|view| view.camera.width().min(view.camera.height()));
+    let smallest = smallest.min().map(|side| side / dataset.test_scale);
+    if let (Some(side), true) = (smallest.filter(|&side| side < Lpips::SMALLEST_SIDE), network.is_some()) {
+        bail!("--lpips: test views are {side} pixels at their shortest; {} are needed", Lpips::SMALLEST_SIDE);
+    }
     let is_there = scene.is_some() || resumed.as_ref().is_some_and(|checkpoint| checkpoint.progress() >= 1.0);
     let check = |options| delivery::check(args, dataset, options, is_there);
-    delivery.map(check).transpose().context("--delivery")?;
+    let of_delivery = delivery.map(check).transpose().context("--delivery")?.flatten();
     if scene.is_some() && delivery.is_some() && args.resume && !folder.has_fine_tuning() {
         bail!(
             "--delivery: fine-tunes {} as it is, not what {} holds of its training; the checkpoint of that \
@@ -122,11 +134,13 @@ fn train(
     let opened = folder.open(args)?;
     let stop = Interruption::watch();
     if let (Some(scene), Some(options)) = (scene, delivery) {
-        let known = (dataset, input.notes.as_slice());
+        let notes: Vec<String> = input.notes.iter().cloned().chain(of_delivery).collect();
+        let known = (dataset, notes.as_slice());
         return delivery::run(args, &folder, scene, known, (options, backend), &stop, quiet);
     }
     let rounded = match (&resumed, &begun) {
-        _ if steps_are_typed(args) => Rounded::Nothing,
+        // A fine-tuning encodes anew.
+        _ if steps_are_typed(args) || delivery.is_some() => Rounded::Nothing,
         (Some(checkpoint), _) if checkpoint.has_rounded() => Rounded::All,
         (None, Some(plan)) => plan.rounded(args)?,
         (Some(_), _) | (None, None) => Rounded::Nothing,
@@ -159,6 +173,7 @@ fn train(
         let mut log = if args.resume { Log::resumed(&folder.log, trainer.steps())? } else { Log::default() };
         log.notes.extend_from_slice(&input.notes);
         log.notes.extend(changes);
+        log.notes.extend(of_delivery);
         log.notes.extend(delivery.and_then(delivery::tail_in_words));
         let ended = fit(args, &folder, dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
         let trained = Trained::of(&trainer, dataset, args)?;
@@ -193,8 +208,8 @@ fn finish(
     if ended.interrupted {
         eprintln!("{STOPPED}");
     }
-    let mut tuning = None;
-    let mut section = None;
+    let (mut tuning, mut section) = (None, None);
+    let mut is_short = false;
     let written = match delivery.filter(|_| !ended.interrupted) {
         Some((options, backend)) => {
             let (background, max_side) = (trained.options.background, trained.options.max_side);
@@ -202,10 +217,14 @@ fn finish(
             let with = (options, backend);
             let sized = &with_size(args, trained);
             let tuned = delivery::fine_tuned(sized, folder, &trained.scene, references, with, stop, quiet)?;
-            ended.interrupted |= tuned.record.objective.len() < options.updates;
+            ended.interrupted |=
+                tuned.record.objective.len() < options.updates && tuned.record.stopped.is_none();
+            is_short = tuned.record.objective.len() < options.updates;
+            let mut written = Written::plainly(tuned.encoded);
+            written.notes = tuned.notes;
             tuning = Some((options, tuned.record, tuned.choice));
             section = Some(tuned.section);
-            Written::plainly(tuned.encoded)
+            written
         }
         None => within_loss(args, dataset, trained, stop, TRAINED, quiet).context(TRAINED)?,
     };
@@ -250,6 +269,8 @@ fn finish(
         output.text += &delivery::outcome(&record, options, choice.as_ref());
         output.json["rank"] = json!(choice);
         output.json["updates"] = json!(record.objective.len());
+        output.damaged |= is_short;
+        output.json["stopped"] = json!(record.stopped);
         output.json["taken"] = json!(record.before_and_taken().map(|(_, taken)| taken.updates));
         output.json["registration"] = json!(files::shown(&folder.registration));
         output.json["delivery"] = json!(files::shown(&folder.delivery));

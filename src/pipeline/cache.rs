@@ -6,7 +6,7 @@ use std::{
 };
 
 use anyhow::{Context, Result};
-use codec_core::internals::{digest::Digest, receiver::Content, wire::crc::crc32};
+use codec_core::internals::{digest::Digest, wire::crc::crc32};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use trainer_host::{
@@ -35,29 +35,31 @@ struct StoredUtilities {
     table: utility::Table,
 }
 
-/// Utilities of `content` against `references`, from `cache` if it holds those that would be measured; if it
+/// Utilities of `stream` against `references`, from `cache` if it holds those that would be measured; if it
 /// holds others, `warn` is told what differs and they are replaced.
 ///
 /// # Errors
 /// If measuring fails, or the cache cannot be written.
 pub fn utilities(
     references: &References<'_>,
-    content: &Content<'_>,
-    map: &PacketMap,
+    stream: &Stream,
     options: &UtilityOptions,
     cache: Option<&Path>,
     quiet: Quiet,
     warn: &mut dyn FnMut(String),
 ) -> Result<utility::Table> {
-    let measured = measured(references, content, options)?;
+    let measured = measured(references, stream, options)?;
+    let map = PacketMap::of(stream)?;
     if let Some((path, bytes)) = cache.and_then(|path| Some((path, std::fs::read(path).ok()?))) {
-        match accepted(&bytes, &measured, map) {
+        match accepted(&bytes, &measured, &map) {
             Ok(table) => return Ok(table),
             Err(why) => warn(format!("{}: {why}; utilities are measured anew", path.display())),
         }
     }
     let progress = Progress::new("measure utilities", quiet.0);
-    let table = utility::measure(references, content, map, options, &|share| progress.at(share))?;
+    let received = stream.receive()?;
+    let table =
+        utility::measure(references, &received.content(), &map, options, &|share| progress.at(share))?;
     if let Some(path) = cache {
         let stored = StoredUtilities { measured, table: table.clone() };
         files::write(path, serde_json::to_string(&stored)?.as_bytes())?;
@@ -86,18 +88,21 @@ pub fn utility_path(stream: &Path) -> PathBuf {
     stream.with_extension("utility.json")
 }
 
-/// The utilities in file `path`, however they were measured, if they are of the stream with this manifest.
+/// The utilities in file `path`, however they were measured, if they are of a stream with the manifest of
+/// `stream`.
 ///
 /// # Errors
 /// No file, or one that holds something else.
-pub(crate) fn stored_utilities(path: &Path, manifest: &[u8]) -> Result<utility::Table> {
+pub(crate) fn stored_utilities(path: &Path, stream: &Stream) -> Result<utility::Table> {
     let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
     let stored = parsed(&bytes).map_err(|why| anyhow::anyhow!("{}: {why}", path.display()))?;
     anyhow::ensure!(
-        stored.table.manifest_crc == crc32(manifest),
+        stored.table.manifest_crc == crc32(stream.manifest()?.raw()),
         "{}: utilities of another stream",
         path.display()
     );
+    check_groups(&stored.table, &PacketMap::of(stream)?)
+        .map_err(|why| anyhow::anyhow!("{}: {why}", path.display()))?;
     Ok(stored.table)
 }
 
@@ -110,7 +115,7 @@ pub(crate) fn utilities_of_clip(
     whole: &Stream,
     clip: &Clip,
 ) -> Result<(utility::Table, Vec<u8>)> {
-    let table = clip.utilities(whole, &stored_utilities(path, whole.manifest()?.raw())?)?;
+    let table = clip.utilities(whole, &stored_utilities(path, whole)?)?;
     let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
     let stored = parsed(&bytes).map_err(|why| anyhow::anyhow!("{}: {why}", path.display()))?;
     let stored = StoredUtilities { table: table.clone(), ..stored };
@@ -149,7 +154,7 @@ pub(crate) fn utilities_beside(
         warn(format!("{name}: no utilities beside it (encode with --utility); all groups count the same"));
         return Ok(None);
     }
-    match stored_utilities(&beside, stream.manifest()?.raw()) {
+    match stored_utilities(&beside, stream) {
         Ok(table) => Ok(Some(table)),
         Err(error) => {
             warn(format!("{error:#}; all groups count the same (encode with --utility measures them anew)"));
@@ -161,7 +166,7 @@ pub(crate) fn utilities_beside(
 /// Everything that decides what is measured, by name.
 fn measured(
     references: &References<'_>,
-    content: &Content<'_>,
+    stream: &Stream,
     options: &UtilityOptions,
 ) -> Result<BTreeMap<String, Value>> {
     // Exhaustive, so that an option cannot be forgotten here.
@@ -178,7 +183,7 @@ fn measured(
     ];
     // Too long to be compared by reading.
     let mut digested = vec![
-        ("stream", Digest::new().bytes(content.manifest.raw())),
+        ("stream", digest_of_stream(stream)?),
         ("settings", Digest::new().bytes(&serde_json::to_vec(settings)?)),
     ];
     match references {
@@ -196,6 +201,12 @@ fn measured(
     }
     let digested = digested.into_iter().map(|(name, digest)| (name, json!(format!("{:016x}", digest.get()))));
     Ok(values.into_iter().chain(digested).map(|(name, value)| (name.to_owned(), value)).collect())
+}
+
+/// A digest of the manifest and of every packet: what is shown depends on both.
+fn digest_of_stream(stream: &Stream) -> Result<Digest> {
+    let manifest = Digest::new().bytes(stream.manifest()?.raw());
+    Ok(stream.packets().iter().fold(manifest, |all, packet| all.bytes(packet)))
 }
 
 /// A digest of every photograph, its camera, its time and its mask.
@@ -226,11 +237,14 @@ fn accepted(
             None => return Err(format!("does not say {name}")),
         }
     }
-    let (found, needed) = (stored.table.groups.len(), map.groups().len());
-    if found != needed {
-        return Err(format!("holds {found} groups, not {needed}"));
-    }
+    check_groups(&stored.table, map)?;
     Ok(stored.table)
+}
+
+/// Refuses a table of another number of groups than the stream has.
+fn check_groups(table: &utility::Table, map: &PacketMap) -> Result<(), String> {
+    let (found, needed) = (table.groups.len(), map.groups().len());
+    if found == needed { Ok(()) } else { Err(format!("holds {found} groups, not {needed}")) }
 }
 
 #[cfg(test)]
@@ -256,21 +270,14 @@ mod tests {
             encode::encode(&scene, &encode::EncodeOptions::default(), &trainer_host::encode::no_progress)
                 .unwrap()
                 .stream;
-        let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
         let folder = tempfile::tempdir().unwrap();
         let cache = folder.path().join("a.utility.json");
         let measure = |scene: &Scene, x: f64, options: &UtilityOptions| {
             let (mut warnings, cameras) = (Vec::new(), [camera(x)]);
             let references = References::renders(scene, &cameras, &cameras);
-            let table = utilities(
-                &references,
-                &received.content(),
-                &map,
-                options,
-                Some(&cache),
-                Quiet(true),
-                &mut |w| warnings.push(w),
-            );
+            let table = utilities(&references, &stream, options, Some(&cache), Quiet(true), &mut |w| {
+                warnings.push(w)
+            });
             (table.unwrap(), warnings.join("\n"))
         };
         let plain = || UtilityOptions { contexts: 1, ..UtilityOptions::paper() };
@@ -297,10 +304,24 @@ mod tests {
         let (again, warnings) = measure(&scene, 0.0, &plain());
         assert!(same(&again, &first) && warnings.is_empty(), "it was replaced: {warnings}");
 
-        let manifest = stream.manifest().unwrap();
-        assert!(stored_utilities(&cache, manifest.raw()).is_ok());
-        let error = stored_utilities(&cache, b"another").unwrap_err().to_string();
+        assert!(stored_utilities(&cache, &stream).is_ok());
+        let none = encode::EncodeOptions::default();
+        let another = encode::encode(&other, &none, &encode::no_progress).unwrap().stream;
+        let error = stored_utilities(&cache, &another).unwrap_err().to_string();
         assert!(error.contains("of another stream"), "{error}");
+        // One packet that is missing shows something else, though the manifest is the same.
+        let cut = stream.with_packets(|id| id > 0);
+        let measured_on_cut =
+            measured(&References::renders(&scene, &[camera(0.0)], &[camera(0.0)]), &cut, &plain());
+        let bytes = std::fs::read(&cache).unwrap();
+        let error = accepted(&bytes, &measured_on_cut.unwrap(), &PacketMap::of(&cut).unwrap()).unwrap_err();
+        assert_eq!(error, "measured with other stream");
+        let mut fewer: Value = serde_json::from_slice(&bytes).unwrap();
+        fewer["table"]["groups"].as_array_mut().unwrap().pop();
+        std::fs::write(&cache, fewer.to_string()).unwrap();
+        let error = stored_utilities(&cache, &stream).unwrap_err().to_string();
+        assert!(error.contains(" groups, not "), "{error}");
+        std::fs::write(&cache, &bytes).unwrap();
 
         // A file of an earlier version lacks what has come since; its version is what is said.
         let mut earlier: Value = serde_json::from_slice(&std::fs::read(&cache).unwrap()).unwrap();
@@ -308,7 +329,7 @@ mod tests {
         let group = earlier["table"]["groups"][0].as_object_mut().unwrap();
         assert!(group.remove("together").is_some());
         std::fs::write(&cache, earlier.to_string()).unwrap();
-        let error = stored_utilities(&cache, manifest.raw()).unwrap_err().to_string();
+        let error = stored_utilities(&cache, &stream).unwrap_err().to_string();
         assert!(error.contains("version 4, where version 5"), "{error}");
     }
 }

@@ -61,14 +61,13 @@ pub fn sendable(
         loaded.damage.into_iter().for_each(&mut *warn);
         let options = super::encode_options(codec, Protection::STANDARD);
         let stream = super::encode(&loaded.scene, &options, quiet)?.stream;
-        let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
         let cameras = Framing::of(&loaded.scene).ring(Ring::Validation, 3, (128, 128))?;
         let gain_cameras = gain_cameras(&loaded.scene)?;
         let complete = policy != PolicyName::DeadlineUtilityPaper;
         let how = UtilityOptions { complete, ..UtilityOptions::paper() };
         let state_cameras = if complete { &gain_cameras } else { &cameras };
         let references = References::renders(&loaded.scene, state_cameras, &gain_cameras);
-        let table = utilities(&references, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
+        let table = utilities(&references, &stream, &how, None, quiet, &mut |_| ())?;
         (stream, Some(table))
     };
     let map = PacketMap::of(&stream)?;

@@ -95,6 +95,23 @@ fn faults_are_named_by_file_and_field() {
     let text = refusal(fresh.path());
     assert!(text.contains("transforms_train.json: frame 1's file_path is absent; "), "{text}");
 
+    // Views without times beside those with would all be of the first instant.
+    let fresh = folder();
+    let untimed = format!("{{\"file_path\": \"./train/r_0\", \"transform_matrix\": {MATRIX}}}");
+    write_split(fresh.path(), "test", &[untimed.clone()]);
+    let text = refusal(fresh.path());
+    assert!(
+        text.ends_with(
+            "transforms_test.json: time is absent; given of all frames, as in \
+                            transforms_train.json, is allowed"
+        ),
+        "{text}"
+    );
+    write_split(fresh.path(), "train", &[untimed]);
+    write_split(fresh.path(), "test", &[frame("./train/r_0", 0.5, MATRIX)]);
+    let text = refusal(fresh.path());
+    assert!(text.contains("transforms_test.json: time is given; absent, as in"), "{text}");
+
     let empty = tempfile::tempdir().unwrap();
     let text = refusal(empty.path());
     assert!(text.contains("transforms_train.json") && text.contains("sparse/0"), "{text}");

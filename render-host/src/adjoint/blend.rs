@@ -126,17 +126,33 @@ pub(super) fn blend(
 }
 
 /// Adds the statistics of the tiles of a band to those of each Gaussian, in order of tiles.
-pub(super) fn gather_statistics(tiles: &Tiles, bins: &Bins, columns: usize, out: &mut [DensityStatistics]) {
-    for (index, tile) in tiles.tiles.iter().enumerate() {
-        let list = bins.rows()[index / columns].tile(index % columns);
-        for (&splat, &[gradient, weight, pixels]) in list.iter().zip(&tile.statistics) {
-            let sum = &mut out[splat as usize];
-            sum.gradient += gradient;
-            sum.weight += weight;
-            // A whole number of at most 256.
-            sum.pixels += pixels as u32;
+pub(super) fn gather_statistics(
+    tiles: &Tiles,
+    bins: &Bins,
+    columns: usize,
+    parallel: bool,
+    out: &mut [DensityStatistics],
+) {
+    // As in `gather`.
+    let size = out.len().div_ceil(pieces(parallel)).max(1);
+    parallel::for_each_chunk(parallel, out, size, |piece, out| {
+        let first = piece * size;
+        for (index, tile) in tiles.tiles.iter().enumerate() {
+            let list = bins.rows()[index / columns].tile(index % columns);
+            for (&splat, &[gradient, weight, pixels]) in list.iter().zip(&tile.statistics) {
+                let Some(sum) = out.get_mut((splat as usize).wrapping_sub(first)) else { continue };
+                sum.gradient += gradient;
+                sum.weight += weight;
+                // A whole number of at most 256.
+                sum.pixels += pixels as u32;
+            }
         }
-    }
+    });
+}
+
+/// Pieces that sums over tiles are made in.
+fn pieces(parallel: bool) -> usize {
+    if parallel { rayon::current_num_threads() } else { 1 }
 }
 
 /// Adds what the tiles of a band found to each ellipse, in order of tiles; returns how many values of the
@@ -151,8 +167,7 @@ pub(super) fn gather(
 ) -> u64 {
     // Each piece reads every list and keeps what is its own: the order of each sum is that of the tiles,
     // however many pieces there are.
-    let pieces = if parallel { rayon::current_num_threads() } else { 1 };
-    let size = ellipses.len().div_ceil(pieces).max(1);
+    let size = ellipses.len().div_ceil(pieces(parallel)).max(1);
     parallel::for_each_chunk(parallel, ellipses, size, |piece, ellipses| {
         let first = piece * size;
         for (index, found) in tiles.tiles.iter().enumerate() {
@@ -203,6 +218,9 @@ impl pulp::WithSimd for Backward<'_> {
             found.statistics.resize(list.len(), [0.0; STATISTICS]);
         }
         found.non_finite = scratch.open(image, corner, size);
+        // Columns of the picture.
+        let columns = size[0] - corner[0];
+        let inside: Lanes = std::array::from_fn(|i| if i < columns { 1.0 } else { 0.0 });
 
         let now = if list.is_empty() { [[1.0; TILE]; TILE] } else { cell.transmittances() };
         found.background = scratch.turn(settings.background, &now);
@@ -214,11 +232,14 @@ impl pulp::WithSimd for Backward<'_> {
                 let visits = scratch.trace.visits(i);
                 if !visits.is_empty() {
                     let splat = scratch.trace.near[i];
-                    if statistics {
-                        found.statistics[start + i] =
-                            scratch.statistics(simd, visits.clone(), &splat, rules.max, size[0] - corner[0]);
-                    }
-                    let sums = scratch.sweep(simd, visits, &splat, rules.max);
+                    let sums = if statistics {
+                        let (sums, of_visits) =
+                            scratch.sweep::<S, true>(simd, visits, &splat, rules.max, &inside);
+                        found.statistics[start + i] = totals_of_statistics(&of_visits);
+                        sums
+                    } else {
+                        scratch.sweep::<S, false>(simd, visits, &splat, rules.max, &inside).0
+                    };
                     *partial = chain(&sums, &splat, corner);
                 }
             }
@@ -261,55 +282,31 @@ impl Scratch {
         sums.map(|sum| keep(Term::Background, f64::from(total(&sum))) as f32)
     }
 
-    /// Statistics of one splat's visits in the first `columns` columns, which are those of the picture,
-    /// before [`Scratch::sweep`] steps in front of it.
+    /// Differentiates one splat's visits and steps in front of it. With `STATISTICS`, finds those of its
+    /// visits too, in the columns that are `inside` the picture (1, else 0).
     #[inline(always)]
-    fn statistics<S: Simd>(
-        &self,
-        _: S,
+    fn sweep<S: Simd, const WITH_STATISTICS: bool>(
+        &mut self,
+        simd: S,
         visits: Range<usize>,
         splat: &Splat,
         max: f32,
-        columns: usize,
-    ) -> TileStatistics {
-        let inside: Lanes = std::array::from_fn(|i| if i < columns { 1.0 } else { 0.0 });
-        let Self { behind, gradient: [red, green, blue], trace } = self;
-        let [xx, xy, yy] = splat.root.map(|v| v as f32);
-        let [r, g, b] = splat.colour;
-        let mut sums = [[0.0f32; TILE]; STATISTICS];
-        for (visit, record) in trace.visits[visits.clone()].iter().zip(&trace.records[visits]) {
-            let y = visit.y as usize % TILE;
-            for i in 0..TILE {
-                let weight = record.alpha[i] * record.transmittance[i];
-                let own = red.0[y][i] * r + green.0[y][i] * g + blue.0[y][i] * b;
-                let h = if record.alpha[i] < max { weight * (own - behind.0[y][i]) } else { 0.0 };
-                let (u, v) = (visit.u + xx * LANE[i], visit.v);
-                // The exponent falls by u² + v² in bits, and both fall with the centre.
-                let [along, down] = [h * (xx * u), h * (xy * u + yy * v)];
-                sums[0][i] += (along * along + down * down).sqrt();
-                sums[1][i] += weight * inside[i];
-                sums[2][i] += if record.alpha[i] > 0.0 { inside[i] } else { 0.0 };
-            }
-        }
-        let [gradient, weight, pixels] = sums.map(|sum| total(&sum));
-        [2.0 * std::f32::consts::LN_2 * gradient, weight, pixels]
-    }
-
-    /// Differentiates one splat's visits and steps in front of it.
-    #[inline(always)]
-    fn sweep<S: Simd>(&mut self, simd: S, visits: Range<usize>, splat: &Splat, max: f32) -> [Lanes; SUMS] {
+        inside: &Lanes,
+    ) -> ([Lanes; SUMS], [Lanes; STATISTICS]) {
         let Self { behind, gradient: [red, green, blue], trace } = self;
         let (records, visits) = (&trace.records[visits.clone()], &trace.visits[visits]);
-        let xx = simd.splat_f32s(splat.root[0] as f32);
+        let [xx, xy, yy] = splat.root.map(|v| simd.splat_f32s(v as f32));
         let [r, g, b] = splat.colour.map(|c| simd.splat_f32s(c));
         let (max, zero) = (simd.splat_f32s(max), simd.splat_f32s(0.0));
         let clamped = if dropped(Term::AlphaClamp) { simd.splat_f32s(2.0) } else { max };
         let (add, sub) = (|a, b| simd.add_f32s(a, b), |a, b| simd.sub_f32s(a, b));
         let mul = |a, b| simd.mul_f32s(a, b);
         let mut out = [[0.0; TILE]; SUMS];
+        let mut out_statistics = [[0.0; TILE]; STATISTICS];
         for part in 0..TILE / S::F32_LANES {
-            let lane = lanes::<S>(&LANE, part);
+            let (lane, inside) = (lanes::<S>(&LANE, part), lanes::<S>(inside, part));
             let mut sums = [zero; SUMS];
+            let mut statistics = [zero; STATISTICS];
             for (visit, record) in visits.iter().zip(records) {
                 let y = visit.y as usize % TILE;
                 let (u, v) = (simd.splat_f32s(visit.u), simd.splat_f32s(visit.v));
@@ -330,7 +327,8 @@ impl Scratch {
                 }
                 let free = simd.less_than_f32s(alpha, clamped);
                 let h = simd.select_f32s(free, mul(weight, ahead), zero);
-                let hq = mul(h, add(u, mul(xx, lane)));
+                let q = add(u, mul(xx, lane));
+                let hq = mul(h, q);
                 let hv = mul(h, v);
                 sums[0] = add(sums[0], h);
                 sums[1] = add(sums[1], hq);
@@ -340,12 +338,24 @@ impl Scratch {
                 sums[5] = add(sums[5], mul(weight, gr));
                 sums[6] = add(sums[6], mul(weight, gg));
                 sums[7] = add(sums[7], mul(weight, gb));
+                if WITH_STATISTICS {
+                    // The exponent falls by u² + v² in bits, and both fall with the centre.
+                    let (along, below) = (mul(h, mul(xx, q)), mul(h, add(mul(xy, q), mul(yy, v))));
+                    let length = simd.sqrt_f32s(add(mul(along, along), mul(below, below)));
+                    let is_seen = simd.less_than_f32s(zero, alpha);
+                    statistics[0] = add(statistics[0], length);
+                    statistics[1] = add(statistics[1], mul(weight, inside));
+                    statistics[2] = add(statistics[2], simd.select_f32s(is_seen, inside, zero));
+                }
+            }
+            for (out, sum) in out_statistics.iter_mut().zip(statistics) {
+                *lanes_mut::<S>(out, part) = sum;
             }
             for (out, sum) in out.iter_mut().zip(sums) {
                 *lanes_mut::<S>(out, part) = sum;
             }
         }
-        out
+        (out, out_statistics)
     }
 }
 
@@ -401,6 +411,13 @@ fn totals(rows: &[Lanes; SUMS]) -> [f32; SUMS] {
         }
     }
     turned[0]
+}
+
+/// Statistics from sums over the visits of a splat.
+#[inline(always)]
+fn totals_of_statistics(sums: &[Lanes; STATISTICS]) -> TileStatistics {
+    let [gradient, weight, pixels] = sums.each_ref().map(total);
+    [2.0 * std::f32::consts::LN_2 * gradient, weight, pixels]
 }
 
 /// From sums over the tile, about its first pixel, to the ellipse.

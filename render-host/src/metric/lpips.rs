@@ -12,9 +12,6 @@ use safetensors::{Dtype, SafeTensors};
 
 use crate::image::{Image, ImageError, same_size};
 
-/// Smallest side of an image, pixels: below it a layer has nothing left.
-const SMALLEST_SIDE: u32 = 31;
-
 /// Mean and deviation of the images that the network knows, per channel of -1 to 1.
 const MEAN: [f32; 3] = [-0.030, -0.088, -0.188];
 const DEVIATION: [f32; 3] = [0.458, 0.448, 0.450];
@@ -90,6 +87,9 @@ struct Features {
 }
 
 impl Lpips {
+    /// Smallest side of an image, pixels: below it a layer has nothing left.
+    pub const SMALLEST_SIDE: u32 = 31;
+
     /// Reads the weights of a safetensors file.
     ///
     /// # Errors
@@ -117,7 +117,7 @@ impl Lpips {
     pub fn distance(&self, test: &Image, reference: &Image) -> Result<f64, ImageError> {
         same_size(test, reference)?;
         let side = test.width().min(test.height());
-        if side < SMALLEST_SIDE {
+        if side < Lpips::SMALLEST_SIDE {
             let (field, found) = ("side of an image for LPIPS", side.to_string());
             return Err(ImageError::Range { field, found, allowed: "31 or more" });
         }

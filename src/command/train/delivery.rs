@@ -2,7 +2,9 @@
 
 mod damage;
 mod log;
+mod outcome;
 mod page;
+mod pictures;
 mod rank;
 
 use std::{cell::RefCell, io::IsTerminal as _, ops::ControlFlow, time::Instant as Clock};
@@ -16,8 +18,8 @@ use trainer_host::{
     train::{
         self, Dataset,
         delivery::{
-            DeliveryError, DeliveryOptions, FineTuned, RankChoice, Record, Recording, Reference, Tuning,
-            Update, Variant, resume,
+            DeliveryError, DeliveryOptions, FineTuned, RankChoice, Record, Recording, Tuning, Update,
+            Variant, resume,
         },
     },
 };
@@ -25,13 +27,14 @@ use trainer_host::{
 use self::{
     damage::Damage,
     log::{DeliveryLog, line},
+    pictures::References,
 };
+pub(super) use self::{outcome::outcome, pictures::Pictures};
 use super::{
     figures::{decoded, figure},
     folder::Folder,
     interruption::Interruption,
     page::document,
-    trained::Trained,
     training::options as typed,
 };
 use crate::{
@@ -65,13 +68,13 @@ pub(super) fn read(config: &str) -> Result<DeliveryOptions> {
 }
 
 /// Refuses before the training what would end it afterwards; `is_there` says whether the scene is there
-/// already.
+/// already. Gives what a person should know.
 pub(super) fn check(
     args: &Train,
     dataset: &Dataset,
     options: &DeliveryOptions,
     is_there: bool,
-) -> Result<()> {
+) -> Result<Option<String>> {
     if options.recorded.is_some() && !is_there {
         let (input, out) = (&args.input, args.out.display());
         bail!(
@@ -82,13 +85,7 @@ pub(super) fn check(
     }
     rank::check(args, options)?;
     options.recorded.as_deref().map(Recording::read).transpose().context("recorded")?;
-    let found = dataset.train.photographs().len().min(args.references);
-    let is_validated = options.validation.candidates > 0 || args.choose_rank;
-    let needed = if is_validated { options.validation.every } else { 1 };
-    if found < needed {
-        bail!("{found} training views; at least {needed}, one of them for validation, are needed");
-    }
-    Ok(())
+    pictures::check(args, dataset, options)
 }
 
 /// That the tail holds more than the fraction of worlds that `options` name, where that is less than one.
@@ -136,10 +133,10 @@ pub(super) fn run(
 ) -> Result<VerbOutput> {
     let background = args.background.unwrap_or(BACKGROUND);
     let pictures = Pictures { dataset, background, max_side: typed(args)?.max_side, trained: None };
-    let Tuned { encoded: tuned, given, record, section, choice } =
+    let Tuned { encoded: tuned, given, record, section, choice, notes } =
         fine_tuned(args, folder, scene, pictures, (options, backend), stop, quiet)?;
     let updates = record.objective.len();
-    let interrupted = updates < options.updates;
+    let interrupted = updates < options.updates && record.stopped.is_none();
     let bytes = tuned.stream.to_bytes()?;
     files::write(&folder.stream, &bytes)?;
     let bar = Progress::new("encode, as given", quiet.0);
@@ -162,7 +159,9 @@ pub(super) fn run(
         folder.stream.display(),
         folder.report.display()
     );
+    let notes_of_tuning = notes;
     let mut notes = said.to_vec();
+    notes.extend(notes_of_tuning);
     notes.extend(tail_in_words(options));
     let unused = unused(args);
     if !unused.is_empty() {
@@ -176,6 +175,7 @@ pub(super) fn run(
         "updates": updates,
         "taken": record.before_and_taken().map(|(_, taken)| taken.updates),
         "interrupted": interrupted,
+        "stopped": record.stopped,
         "device": record.device,
         "before": before,
         "fine_tuned": after,
@@ -187,7 +187,7 @@ pub(super) fn run(
         "log": files::shown(&folder.delivery_log),
         "report": files::shown(&folder.report),
     });
-    Ok(VerbOutput { text, json, damaged: interrupted, ..VerbOutput::default() })
+    Ok(VerbOutput { text, json, damaged: updates < options.updates, ..VerbOutput::default() })
 }
 
 /// What a fine-tuning led to.
@@ -200,46 +200,8 @@ pub(super) struct Tuned {
     pub(super) section: String,
     /// The rank that was chosen for it, if one was.
     pub(super) choice: Option<RankChoice>,
-}
-
-/// The pictures that a fine-tuning is towards.
-#[derive(Clone, Copy)]
-pub(super) struct Pictures<'a> {
-    pub(super) dataset: &'a Dataset,
-    pub(super) background: [f32; 3],
-    /// Longest side, pixels.
-    pub(super) max_side: u32,
-    /// What was trained on them, where something was: it knows the exposures of their cameras.
-    pub(super) trained: Option<&'a Trained>,
-}
-
-impl Pictures<'_> {
-    /// Up to `count` training views as pictures of frames of `scene`, evenly spread.
-    fn references(&self, scene: &Scene, count: usize) -> Result<Vec<Reference>> {
-        let views = self.dataset.train.sample(count);
-        let of = |view: &train::PosedPhotograph| match self.trained {
-            Some(trained) => self.reference(&trained.neutral(view), scene),
-            None => self.reference(view, scene),
-        };
-        views.photographs().iter().map(of).collect()
-    }
-
-    /// A view that nothing was trained on, the middle one; of the training split where there is no other.
-    fn unseen(&self, scene: &Scene) -> Result<Reference> {
-        let views = [self.dataset.test.photographs(), self.dataset.train.photographs()];
-        let views = views.into_iter().find(|views| !views.is_empty()).unwrap_or_default();
-        let view = views.get(views.len() / 2).context("there are no views")?;
-        self.reference(view, scene)
-    }
-
-    /// `view` as a picture of a frame of `scene`.
-    fn reference(&self, view: &train::PosedPhotograph, scene: &Scene) -> Result<Reference> {
-        let (width, height) = (view.camera.width(), view.camera.height());
-        let (shortest, longest) = (width.min(height), width.max(height));
-        // By a whole number, as photographs are reduced; one that leaves something of the shorter side.
-        let by = (shortest / 400).max(longest.div_ceil(self.max_side)).clamp(1, shortest);
-        Reference::of_photograph(view, scene, by, self.background).context("--references")
-    }
+    /// What a person should know.
+    pub(super) notes: Vec<String>,
 }
 
 /// The stream of `scene`, fine-tuned on a backend towards `pictures` until a person asks to stop; and how
@@ -253,13 +215,18 @@ pub(super) fn fine_tuned(
     stop: &Interruption,
     quiet: Quiet,
 ) -> Result<Tuned> {
+    // That of the training, unless the file of options has one: who goes on need not type it again.
+    let seed = match pictures.trained {
+        Some(trained) if options.seed == DeliveryOptions::default().seed => trained.options.seed,
+        _ => options.seed,
+    };
     let options = DeliveryOptions {
-        seed: args.scene.seed.unwrap_or(options.seed),
+        seed: args.scene.seed.unwrap_or(seed),
         registration: Some(folder.registration.clone()),
         encode: pipeline::encode_options(&args.codec, Protection::NONE),
         ..options.clone()
     };
-    let references = pictures.references(scene, args.references)?;
+    let references = pictures.references(scene, args.references, options.validation.every)?;
     let chosen = || rank::chosen(args, folder, scene, &references, (&options, backend), stop, quiet);
     let choice = args.choose_rank.then(chosen).transpose()?;
     let options = match &choice {
@@ -279,7 +246,10 @@ pub(super) fn fine_tuned(
     drop(bar);
     let damage = Damage::of(scene, &tuned, &pictures.unseen(scene)?)?;
     let section = page::section(&tuned.record, seconds, &damage)?;
-    Ok(Tuned { encoded, given: tuned.given, record: tuned.record, section, choice })
+    let gaussians = encoded.order.iter().map(Vec::len).sum();
+    let notes = outcome::missed(&options, gaussians, encoded.report.ledger.wire() as u64);
+    let notes = notes.into_iter().collect();
+    Ok(Tuned { encoded, given: tuned.given, record: tuned.record, section, choice, notes })
 }
 
 /// Makes the updates, from the checkpoint on where there is one, and keeps their log; and how many seconds
@@ -288,7 +258,7 @@ fn updated(
     args: &Train,
     folder: &Folder,
     scene: &Scene,
-    references: &[Reference],
+    references: &References,
     (options, backend): (&DeliveryOptions, &Backend),
     stop: &Interruption,
     quiet: Quiet,
@@ -301,7 +271,8 @@ fn updated(
     let unsaved = RefCell::new(None);
     let bar = Progress::new("fine-tune for delivery", quiet.0);
     let clock = Clock::now();
-    let tuned = resume(scene, references, options, backend, begun, &|update, tuning| {
+    let References { training, validation } = references;
+    let tuned = resume(scene, (training, validation), options, backend, begun, &|update, tuning| {
         let seconds = clock.elapsed().as_secs_f64();
         log.borrow_mut().add(before + seconds);
         say(&bar, update, tuning, (made, seconds), quiet);
@@ -357,34 +328,6 @@ fn begun(args: &Train, folder: &Folder) -> Result<Option<Tuning>> {
     }
     let failed = || path.display().to_string();
     Ok(Some(Tuning::from_bytes(&std::fs::read(path).with_context(failed)?).with_context(failed)?))
-}
-
-/// What came of it, for people: which updates were taken, and what that gives where packets are lost.
-pub(super) fn outcome(record: &Record, options: &DeliveryOptions, choice: Option<&RankChoice>) -> String {
-    let mut text = choice.map_or_else(String::new, rank::said);
-    text += &format!(
-        "  {} of {} updates for delivery, {}\n",
-        record.objective.len(),
-        options.updates,
-        options.variant.name()
-    );
-    let Some((before, taken)) = record.before_and_taken() else { return text };
-    if taken.updates == 0 {
-        text += "  none of them was better where packets are lost: the scene is as it was given\n";
-        return text;
-    }
-    text += &format!(
-        "  taken after update {}: with lost packets, 0.10 quantile {:.2} → {:.2} dB; with all of \
-         them {:.2} → {:.2} dB; {} → {} bytes on the wire\n",
-        taken.updates,
-        before.p10_db,
-        taken.p10_db,
-        before.clean_db,
-        taken.clean_db,
-        before.wire_bytes,
-        taken.wire_bytes
-    );
-    text
 }
 
 #[cfg(test)]

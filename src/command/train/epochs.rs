@@ -190,7 +190,7 @@ impl Plan {
             let out = epoch_folder(&typed.out, index);
             let (args, folder) = (self.args_of(typed, &out, frames.len(), dataset.frames), Folder::of(&out));
             let _opened = folder.open(&args)?;
-            let part = rendered::part(dataset, scene, frames.clone());
+            let part = rendered::part(dataset, scene, frames.clone(), self.options.canonical_time);
             let resumed = resumed(&args, &folder)?;
             let options = with_typed(self.options.clone(), &args);
             let (mut trainer, begun) = begin((&args, rate), &folder, resumed, &options, &part, &backend)?;
@@ -224,7 +224,10 @@ impl Plan {
             });
         }
         let (mut trained, log) = whole.context("a plan without epochs")?;
+        // Those of the whole, not the share of the first part.
         trained.options.finish.target_bytes = self.target_bytes(typed);
+        trained.options.max_gaussians = self.options.max_gaussians;
+        trained.options.initial_gaussians = self.options.initial_gaussians;
         if is_complete {
             check_length(typed, trained.steps, Begun::COMPLETE)?;
         }

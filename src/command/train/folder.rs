@@ -101,9 +101,8 @@ impl Folder {
         self.ranks.is_file() || self.tuning.is_file()
     }
 
-    /// Makes the folder, or refuses one that is in use. No other training opens it while what this returns
-    /// lives; a folder that was made, and has nothing of the training in the end, goes with it.
-    pub(super) fn open(&self, args: &Train) -> Result<Opened> {
+    /// Refuses, before anything is read or made, a folder that is in use or has nothing to go on with.
+    pub(super) fn check(&self, args: &Train) -> Result<()> {
         let out = &args.out;
         let begun = [&self.checkpoint, &self.epochs, &self.ranks, &self.tuning];
         if args.resume && !begun.iter().any(|file| file.is_file()) {
@@ -112,14 +111,31 @@ impl Folder {
         if !out.is_dir() && out.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("dgs")) {
             bail!("{}: several files are written, among them scene.dgs: name a folder", out.display());
         }
-        let is_new = !out.exists();
-        std::fs::create_dir_all(out)
-            .with_context(|| format!("{}: cannot make this folder", out.display()))?;
-        let opened = Opened { made: is_new.then(|| out.clone()), _lock: lock(out)? };
+        let _lock = if out.is_dir() { lock(out)? } else { None };
+        self.check_used(args)
+    }
+
+    /// Refuses a folder that holds a training where nothing is said of it.
+    fn check_used(&self, args: &Train) -> Result<()> {
+        let out = &args.out;
+        let begun = [&self.checkpoint, &self.epochs, &self.ranks, &self.tuning];
         let used = self.stream.exists() || begun.iter().any(|file| file.exists());
         if !args.resume && !args.overwrite && used {
             bail!("{}: holds a training; --resume goes on with it, --overwrite replaces it", out.display());
         }
+        Ok(())
+    }
+
+    /// Makes the folder, or refuses one that is in use. No other training opens it while what this returns
+    /// lives; a folder that was made, and has nothing of the training in the end, goes with it.
+    pub(super) fn open(&self, args: &Train) -> Result<Opened> {
+        self.check(args)?;
+        let out = &args.out;
+        let is_new = !out.exists();
+        std::fs::create_dir_all(out)
+            .with_context(|| format!("{}: cannot make this folder", out.display()))?;
+        let opened = Opened { made: is_new.then(|| out.clone()), _lock: lock(out)? };
+        self.check_used(args)?;
         self.files().into_iter().try_for_each(files::check)?;
         let of_epochs = epoch_folders(out).map(|epoch| Self::of(&epoch)).collect::<Vec<_>>();
         let all = || std::iter::once(self).chain(&of_epochs).flat_map(Self::files);

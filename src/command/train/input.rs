@@ -6,12 +6,16 @@ use anyhow::{Result, bail};
 use trainer_host::{
     Scene,
     train::{
-        Dataset, PosedPhotograph, Trimmed,
+        Checkpoint, Dataset, PosedPhotograph, Trimmed,
         dataset::{self, rendered},
     },
 };
 
-use crate::{args::train::Train, output, pipeline};
+use super::training::options;
+use crate::{
+    args::train::{SPLIT, Train},
+    output, pipeline,
+};
 
 /// Share of a clip before the first photograph, or after the last, of which nothing is said.
 const UNSEEN: f32 = 0.05;
@@ -28,18 +32,21 @@ pub(super) struct Input {
 }
 
 impl Input {
-    /// The dataset that was named; if it was a scene, with the scene.
+    /// The dataset that was named, for a training that goes on from `resumed` where it does; if it was a
+    /// scene, with the scene.
     ///
     /// # Errors
     /// What reading it, importing it or rendering it refuses.
-    pub(super) fn load(args: &Train, max_side: u32) -> Result<Self> {
+    pub(super) fn load(args: &Train, max_side: u32, resumed: Option<&Checkpoint>) -> Result<Self> {
         let path = Path::new(&args.input);
         let mut unknown = None;
         if path.is_dir() && !args.input.starts_with("synth:") {
             match dataset::read_reduced(path, max_side) {
                 Err(error @ dataset::DatasetError::Unknown { .. }) => unknown = Some(error),
                 found => {
-                    let (dataset, report) = found?;
+                    let (mut dataset, report) = found?;
+                    let typed = args.scene.up.map(Into::into);
+                    dataset.up = typed.or(resumed.map(Checkpoint::up)).unwrap_or(dataset.up);
                     let mut input = photographs(args, dataset, report.trimmed);
                     input.notes.extend(sizes_in_words(args, max_side, report.much_reduced, report.too_long));
                     return Ok(input);
@@ -53,12 +60,16 @@ impl Input {
         if let Some(damage) = &loaded.damage {
             output::print_status(&format!("warning: {damage}"));
         }
-        let options = rendered::RenderedOptions {
+        let views = rendered::RenderedOptions {
             cameras: args.cameras,
             side: args.side,
+            canonical_time: match resumed {
+                Some(checkpoint) => checkpoint.options().canonical_time,
+                None => options(args)?.canonical_time,
+            },
             ..rendered::RenderedOptions::default()
         };
-        let dataset = rendered::rendered(&loaded.scene, &loaded.name, &options)?;
+        let dataset = rendered::rendered(&loaded.scene, &loaded.name, &views)?;
         let notes = of_import(&args.input, &loaded.scene);
         let notes = notes.chain(harmonics_that_change(&args.input, &loaded.scene)).collect();
         Ok(Self { scene: Some(loaded.scene), dataset, damaged: loaded.damage.is_some(), notes })
@@ -98,14 +109,14 @@ fn harmonics_that_change(input: &str, scene: &Scene) -> Option<String> {
 }
 
 /// Photographs as they are trained on.
-fn photographs(args: &Train, mut dataset: Dataset, trimmed: Option<Trimmed>) -> Input {
+fn photographs(args: &Train, dataset: Dataset, trimmed: Option<Trimmed>) -> Input {
     let mut notes = Vec::new();
-    dataset.up = args.scene.up.map_or(dataset.up, Into::into);
-    let applies = ["--fps", "--seed"];
+    let applies = ["--fps", "--seed", "--up", "--footprint"];
     let usual = rendered::RenderedOptions::default();
     let of_renders = [("--cameras", args.cameras != usual.cameras), ("--side", args.side != usual.side)];
-    let of_renders = of_renders.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name);
-    let of_scenes = args.scene.scene_only().into_iter().filter(|name| !applies.contains(name));
+    let of_renders = of_renders.into_iter().chain([("--split", args.split != SPLIT)]);
+    let of_renders = of_renders.filter(|(_, typed)| *typed).map(|(name, _)| name);
+    let of_scenes = args.scene.given().into_iter().filter(|name| !applies.contains(name));
     let unused: Vec<&str> = of_scenes.chain(of_renders).collect();
     if !unused.is_empty() {
         notes.push(format!(
@@ -266,7 +277,7 @@ mod tests {
     /// What is said of the dataset in `folder`, with sides of at most `max_side` pixels.
     fn said(folder: &Path, max_side: u32) -> String {
         let folder = folder.display().to_string();
-        Input::load(&parsed([folder.as_str()]), max_side).unwrap().notes.join("\n")
+        Input::load(&parsed([folder.as_str()]), max_side, None).unwrap().notes.join("\n")
     }
 
     /// A file of the frames of a split: names, and how far its cameras stand, scene units.
@@ -359,10 +370,10 @@ mod tests {
         let args = parsed([input.as_str(), "--side", "16", "--cameras", "1"]);
         let loaded = pipeline::import(&input, &args.scene).unwrap();
         assert!(loaded.scene.notes.iter().any(|note| note.starts_with("identity is not stored")));
-        let notes = Input::load(&args, 800).unwrap().notes;
+        let notes = Input::load(&args, 800, None).unwrap().notes;
         assert!(notes.iter().any(|note| note.contains("up is taken to be")), "{notes:?}");
         assert!(!notes.iter().any(|note| note.contains("identity")), "{notes:?}");
         let typed = parsed(["synth:balls:1000:1", "--side", "16", "--cameras", "1"]);
-        assert_eq!(Input::load(&typed, 800).unwrap().notes, Vec::<String>::new());
+        assert_eq!(Input::load(&typed, 800, None).unwrap().notes, Vec::<String>::new());
     }
 }

@@ -219,6 +219,7 @@ pub(super) fn fit(
     let steps = steps(args, trainer, begun);
     let length = args.minutes.is_none().then_some(steps as u32);
     let begun = begun.progress;
+    let mut first = trainer.steps();
     let mut progress = begun;
     // Of another length than before, a training stays where it was left until its steps have come so far.
     let mut least = begun;
@@ -247,6 +248,7 @@ pub(super) fn fit(
         if report.rollback.is_some() {
             // It may have fallen back to before where it was left.
             least = least.min(trainer.progress());
+            first = first.min(report.step);
         }
         progress = match args.minutes {
             None => (f64::from(report.step) / steps).max(least),
@@ -266,7 +268,14 @@ pub(super) fn fit(
         if due || report.step.is_multiple_of(LOG_EVERY) {
             let psnr_db = if due { glance(trainer, dataset) } else { None };
             log.samples.push(Sample::of(&report, before + seconds, psnr_db));
-            let left = seconds * (1.0 - progress) / (progress - begun).max(1e-9);
+            let left = match args.minutes {
+                // Of another length than before, progress stands still at first; steps do not.
+                None => {
+                    seconds * (steps - f64::from(report.step)).max(0.0)
+                        / f64::from(report.step.saturating_sub(first)).max(1.0)
+                }
+                Some(minutes) => 60.0 * minutes * (1.0 - progress),
+            };
             bar.stage(&log.line(left), progress);
             if due && !quiet.0 && !std::io::stderr().is_terminal() {
                 bar.say(&format!("step {}: {}", report.step, log.line(left)));
@@ -335,5 +344,6 @@ fn encoding_of(args: &Train, dataset: &Dataset, frames_per_second: f64) -> Encod
         options: EncodeOptions { pictures, ..options },
         frames: args.frames.unwrap_or(dataset.frames),
         frames_per_second,
+        up: dataset.up,
     }
 }

@@ -6,7 +6,6 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 use trainer_host::{
     Stream,
-    stream::PacketMap,
     train::{Dataset, Views},
     utility::{LevelAudit, References, Table, UtilityError, UtilityOptions},
 };
@@ -93,10 +92,9 @@ fn measured<S: Sync>(
     quiet: Quiet,
 ) -> Result<Table> {
     let photographs = pipeline::reference_photographs(views, background)?;
-    let (map, received) = (PacketMap::of(stream)?, stream.receive()?);
     let mut options = UtilityOptions::paper();
     options.settings.background = background;
     let references = References::Photographs(&photographs);
     // A table of an earlier training is replaced without a word: the folder is this one's.
-    pipeline::utilities(&references, &received.content(), &map, &options, cache, quiet, &mut |_| ())
+    pipeline::utilities(&references, stream, &options, cache, quiet, &mut |_| ())
 }

@@ -4,12 +4,15 @@
 //! so while learning rates stay high; their average is nearer to it (Polyak and Juditsky, "Acceleration of
 //! Stochastic Approximation by Averaging", 1992).
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::model::Model;
+use super::{model::Model, parameter::Parameter};
 
 /// Window of the average, steps: it is the plain mean of as many at first, then exponential.
 const WINDOW: u32 = 100;
+/// Values that one task averages.
+const CHUNK: usize = 32_768;
 
 /// Values of all parameters of a model, in the order of [`Model::parameters`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,12 +25,15 @@ impl Average {
     /// Takes in `model` after a step, or begins anew with it: after other steps, or where it has gained or
     /// lost Gaussians or nodes.
     pub(super) fn follow(average: &mut Option<Self>, model: &Model) {
-        if let Some(average) = average.as_mut().filter(|average| average.fits(model)) {
+        if let Some(average) = average.as_mut().filter(|average| average.is_like(model)) {
             average.steps = average.steps.saturating_add(1).min(WINDOW);
             let share = 1.0 / average.steps as f32;
             for (average, parameter) in average.values.iter_mut().zip(model.parameters()) {
-                let pairs = average.iter_mut().zip(parameter.values());
-                pairs.for_each(|(average, value)| *average += share * (value - *average));
+                let chunks = average.par_chunks_mut(CHUNK).zip(parameter.values().par_chunks(CHUNK));
+                chunks.for_each(|(average, values)| {
+                    let pairs = average.iter_mut().zip(values);
+                    pairs.for_each(|(average, value)| *average += share * (value - *average));
+                });
             }
         } else {
             let values = model.parameters().map(|parameter| parameter.values().to_vec()).collect();
@@ -47,10 +53,15 @@ impl Average {
     /// Whether it is one of a model like `model`: what was read from a file may not be.
     pub(super) fn fits(&self, model: &Model) -> bool {
         (1..=WINDOW).contains(&self.steps)
-            && self.values.len() == model.parameters().count()
-            && self.values.iter().zip(model.parameters()).all(|(values, parameter)| {
-                values.len() == parameter.values().len() && values.iter().all(|value| value.is_finite())
-            })
+            && self.is_like(model)
+            && self.values.iter().flatten().all(|value| value.is_finite())
+    }
+
+    /// Whether it is of as many values.
+    fn is_like(&self, model: &Model) -> bool {
+        let lengths = |(values, parameter): (&Vec<f32>, &Parameter)| values.len() == parameter.values().len();
+        self.values.len() == model.parameters().count()
+            && self.values.iter().zip(model.parameters()).all(lengths)
     }
 }
 

@@ -31,6 +31,7 @@
 mod adam;
 mod channel;
 mod coded;
+mod coding;
 mod config;
 mod delivered;
 mod drawing;

@@ -151,7 +151,7 @@ fn tried(
             initial_gaussians: gaussians(train.initial_gaussians),
             ..train.clone()
         };
-        shown_db(&rendered::part(dataset, scene, range), &train, steps)
+        shown_db(&rendered::part(dataset, scene, range, train.canonical_time), &train, steps)
     };
     let whole_db = of(frames.clone())?;
     let (first, second) = (frames.start..at, at..frames.end);

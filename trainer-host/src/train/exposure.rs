@@ -113,6 +113,9 @@ impl PosedPhotograph {
                 let neutral = (f32::from(*value) / 255.0 - offset) / factor;
                 *value = (neutral.clamp(0.0, 1.0) * 255.0).round() as u8;
             }
+            // Colours are premultiplied by their alpha.
+            let alpha = pixel[3];
+            pixel[..3].iter_mut().for_each(|value| *value = (*value).min(alpha));
         }
         let photograph = Photograph::new(width, height, rgba);
         Self { photograph: photograph.unwrap_or_else(|_| self.photograph.clone()), ..self.clone() }

@@ -26,7 +26,7 @@ use super::{
 };
 use crate::{
     encode::{self, Decisions, EncodeError, EncodeOptions, Target},
-    scene::SceneError,
+    scene::{SceneError, Up},
 };
 
 /// Values are priced in one step out of so many, and their slopes count so many times.
@@ -44,6 +44,8 @@ pub struct Encoding {
     pub frames: usize,
     /// Frames per second.
     pub frames_per_second: f64,
+    /// Which way is up: the encoder may choose by pictures from cameras that stand upright.
+    pub up: Up,
 }
 
 /// What finishing adds to the state of a training.
@@ -164,9 +166,10 @@ impl Finisher {
         model: &Model,
         state: &mut Finishing,
     ) -> Result<(), TrainError> {
-        let Encoding { options, frames, frames_per_second } = &self.encoding;
+        let Encoding { options, frames, frames_per_second, up } = &self.encoding;
         let refused = |error: SceneError| TrainError::Scene(error);
-        let scene = model.scene(*frames, *frames_per_second).map_err(refused)?;
+        let mut scene = model.scene(*frames, *frames_per_second).map_err(refused)?;
+        scene.up = *up;
         let mut options = options.clone();
         options.quality = options.quality.scaled(finish.coarseness);
         // Steps of motion are relative to the others.
@@ -193,6 +196,11 @@ impl Finisher {
     pub(super) fn rounded(&mut self, model: &Model) -> Option<&TrainedGaussians> {
         self.coding.as_ref()?.round(model, &mut self.rounded);
         Some(&self.rounded)
+    }
+
+    /// The Gaussians that [`Finisher::rounded`] gave last, if they are of as many as `count`.
+    pub(super) fn last_rounded(&self, count: usize) -> Option<&TrainedGaussians> {
+        self.coding.as_ref().map(|_| &self.rounded).filter(|rounded| rounded.len() == count)
     }
 
     /// `model` with its Gaussians as they are rounded, once they are.

@@ -132,7 +132,8 @@ impl Model {
             let nearest = self.nodes.followed(&trajectories);
             moving.into_iter().for_each(|index| self.followed[index] = Some(nearest[index]));
         }
-        self.gaussians.skin.values_mut().fill(0.0);
+        // Corrections were of other nodes, and so were their gradients.
+        self.gaussians.skin = Parameter::new(FOLLOWED, vec![0.0; FOLLOWED * self.gaussians.len()]);
     }
 
     /// Lets those Gaussians follow nodes that are where something moves, and no others.

@@ -5,8 +5,8 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Items that one task updates: fixed, so that the result does not depend on the number of threads.
-const CHUNK: usize = 2048;
+/// Values that one task updates, about: fixed, so that the result does not depend on the number of threads.
+const CHUNK: usize = 32_768;
 
 /// Values of one attribute, `width` per item, with what Adam remembers of their gradients.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -129,7 +129,8 @@ impl Parameter {
     /// Changes the values of whole items and their two running means by their gradients.
     fn update(&mut self, change: impl Fn(&mut [f32], &mut [f32], &mut [f32], &[f32]) + Sync) {
         self.gradient.resize(self.values.len(), 0.0);
-        let length = CHUNK * self.width.max(1);
+        let width = self.width.max(1);
+        let length = (CHUNK / width).max(1) * width;
         self.values
             .par_chunks_mut(length)
             .zip(self.first.par_chunks_mut(length))

@@ -118,7 +118,7 @@ impl State {
             && self.finishing.is_sound(self.model.gaussians())
             && self.rollbacks <= MAX_ROLLBACKS
             && (0.0..=1.0).contains(&self.progress)
-            && !self.mean_loss.is_nan()
+            // The mean loss is none where what is compared has just become another.
             && !self.lowest_loss.is_nan()
     }
 }

@@ -34,7 +34,7 @@ fn sized(kind: synth::SynthKind, frames: usize, cameras: usize, side: u32) -> Da
     let options = synth::SynthOptions { kind, gaussians: 1000, frames, ..synth::SynthOptions::default() };
     let mut scene = synth::make(&options, &Limits::default()).unwrap();
     scene.footprint = Footprint::Pixel;
-    let views = rendered::RenderedOptions { cameras, test_cameras: 2, side };
+    let views = rendered::RenderedOptions { cameras, test_cameras: 2, side, ..Default::default() };
     let mut dataset = rendered::rendered(&scene, "balls", &views).unwrap();
     dataset.start = Start::VisualHull;
     dataset
@@ -473,7 +473,7 @@ fn a_scene_brighter_than_white_is_rendered_to_photographs() {
         sh_degree: codec_core::ShDegree::ZERO,
     };
     let scene = crate::Scene::new(vec![crate::Epoch::new(1, attributes).unwrap()], 30.0).unwrap();
-    let views = rendered::RenderedOptions { cameras: 2, test_cameras: 1, side: 32 };
+    let views = rendered::RenderedOptions { cameras: 2, test_cameras: 1, side: 32, ..Default::default() };
     let dataset = rendered::rendered(&scene, "bright", &views).unwrap();
     let brightest = |view: &PosedPhotograph| view.photograph.rgba().iter().copied().max();
     assert!(dataset.train.photographs().iter().all(|view| brightest(view) > Some(100)));

@@ -121,8 +121,12 @@ impl<'a> Trainer<'a> {
         let exposures = exposure::of_views(dataset, options.rates.exposure);
         let state = State::begun(model, Exposures::neutral(exposure::count(&exposures)));
         let order = ViewOrder::new(photographs.len(), options.seed);
-        let encoding =
-            Encoding { options: EncodeOptions::default(), frames: dataset.frames, frames_per_second: 30.0 };
+        let encoding = Encoding {
+            options: EncodeOptions::default(),
+            frames: dataset.frames,
+            frames_per_second: 30.0,
+            up: dataset.up,
+        };
         Ok(Self {
             views: &dataset.train,
             instants: dataset.train.instants(),
@@ -185,6 +189,12 @@ impl<'a> Trainer<'a> {
     #[cfg(test)]
     pub(super) fn poison(&mut self) {
         self.state.model.gaussians.sh0.values_mut().fill(f32::NAN);
+    }
+
+    /// Begins another loss, as a pruning does.
+    #[cfg(test)]
+    pub(super) fn begin_another_loss(&mut self) {
+        self.state.begin_another_loss();
     }
 
     /// The same, for an encoding by `encoding`.
@@ -255,6 +265,8 @@ impl<'a> Trainer<'a> {
             && progress >= from
         {
             state.model.spread_nodes(count, self.changing.as_ref());
+            // Others may move now.
+            state.neighbourhoods = Neighbourhoods::default();
             state.node_stages += 1;
         }
         let nodes = &mut state.model.nodes;
@@ -397,10 +409,13 @@ impl<'a> Trainer<'a> {
             *neighbourhoods = Neighbourhoods::of(&model.trajectories(), moves);
         }
         let Memory { gradients, instant, .. } = &mut self.memory;
+        // What was shown was moved from the rounded ones, where values are rounded.
+        let rest = self.finisher.last_rounded(model.gaussians()).unwrap_or(&model.gaussians);
         let unit = self.region.extent.half_side;
         let share = weight / instant.gaussians.len().max(1) as f64;
-        let moved = |index: usize| instant.gaussians[index].position;
-        neighbourhoods.each_residual(model.gaussians.positions(), moved, |index, residual, map| {
+        let moved = |index: usize| (instant.gaussians[index].position, instant.gaussians[index].rotation);
+        let rest = |index: usize| (rest.positions()[index], rest.rotations()[index]);
+        neighbourhoods.each_residual(rest, moved, |index, residual, map| {
             let slopes = residual_slopes(residual, map, unit);
             let [of_moved, of_rest] = slopes.map(|slope| (share * slope).as_vec3().to_array());
             gradients.splats[index].position.iter_mut().zip(of_moved).for_each(|(sum, v)| *sum += v);

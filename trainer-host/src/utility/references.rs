@@ -18,6 +18,9 @@ use crate::{
     train::{PixelMask, Views, trimmed},
 };
 
+/// How far a photograph is from the frame that it is compared with at most, where there are such, frames.
+const NEAR_FRAME: f64 = 0.25;
+
 /// What states are compared with.
 #[derive(Clone, Copy, Debug)]
 pub enum References<'a> {
@@ -157,9 +160,14 @@ impl ReferencePhotographs {
         rng: &mut Pcg64,
     ) -> Result<Vec<(usize, u32)>, UtilityError> {
         let last = f64::from(clip.saturating_sub(1));
-        let frame_of = |photograph: &ReferencePhotograph| (f64::from(photograph.time) * last).round() as u32;
-        let placed = self.photographs.iter().map(frame_of).enumerate();
+        let at = |photograph: &ReferencePhotograph| f64::from(photograph.time) * last;
+        let placed = self.photographs.iter().map(|photograph| at(photograph).round() as u32).enumerate();
         let mut inside: Vec<(usize, u32)> = placed.filter(|(_, frame)| frames.contains(frame)).collect();
+        // Where there are others, those from between two frames, which no frame shows, are left out.
+        let off = |&(index, frame): &(usize, u32)| (at(&self.photographs[index]) - f64::from(frame)).abs();
+        if inside.iter().any(|placed| off(placed) <= NEAR_FRAME) {
+            inside.retain(|placed| off(placed) <= NEAR_FRAME);
+        }
         if inside.is_empty() {
             return Err(UtilityError::NoPhotograph { first: frames.start, end: frames.end });
         }

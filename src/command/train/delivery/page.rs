@@ -34,13 +34,12 @@ pub(super) fn section(record: &Record, seconds: f64, damage: &Damage) -> Result<
     let _ = write!(
         out,
         "<h3>What was fixed before</h3>\n<table><tr><th>configuration</th><td>{}</td></tr>\n\
-         <tr><th>states of validation</th><td>{}</td></tr>\n<tr><th>worlds of the first updates</th>\
-         <td>{}</td></tr>\n<tr><th>worlds of all updates</th><td>{}</td></tr></table>\n\
+         <tr><th>states of validation</th><td>{}</td></tr>\n<tr><th>worlds of all updates</th>\
+         <td>{}</td></tr></table>\n\
          <p class=\"note\">Hashes are FNV-1a, 64 bits. Taken is, {}.</p>\n<pre>{}</pre>\n",
         escape(&registration.config_hash),
         escape(&registration.validation_masks),
-        escape(&registration.first_worlds),
-        escape(&record.worlds),
+        escape(&registration.worlds),
         escape(&registration.selection_rule),
         escape(&options)
     );

@@ -7,12 +7,13 @@ use render_host::Backend;
 use serde::{Deserialize, Serialize};
 use trainer_host::{
     Scene,
-    train::delivery::{
-        DeliveryOptions, RankChoice, RankResult, Reference, choose_rank, input_hashes, measure_rank,
-    },
+    train::delivery::{DeliveryOptions, RankChoice, RankResult, choose_rank, input_hashes, measure_rank},
 };
 
-use super::super::{folder::Folder, interruption::Interruption};
+use super::{
+    super::{folder::Folder, interruption::Interruption},
+    pictures::References,
+};
 use crate::{args::train::Train, files, pipeline::Quiet, progress::Progress};
 
 /// Ranks that are tried.
@@ -45,29 +46,34 @@ pub(super) fn check(args: &Train, options: &DeliveryOptions) -> Result<()> {
     Ok(())
 }
 
-/// The rank for `scene` under `options`: trained on some of `references` and compared on the others. What is
+/// The rank for `scene` under `options`: trained on `references` for training and compared on those for
+/// validation, or where there are none on some of the former. What is
 /// measured is kept in the folder at once; with `--resume` it is not measured again.
 pub(super) fn chosen(
     args: &Train,
     folder: &Folder,
     scene: &Scene,
-    references: &[Reference],
+    references: &References,
     (options, backend): (&DeliveryOptions, &Backend),
     stop: &Interruption,
     quiet: Quiet,
 ) -> Result<RankChoice> {
     let every = options.validation.every;
-    let (mut training, mut validation) = (Vec::new(), Vec::new());
-    for (at, reference) in references.iter().enumerate() {
-        let part = if at % every == every - 1 { &mut validation } else { &mut training };
+    let (mut training, mut validation) = (Vec::new(), references.validation.clone());
+    let is_shared = validation.is_empty();
+    for (at, reference) in references.training.iter().enumerate() {
+        let is_for_validation = is_shared && at % every == every - 1;
+        let part = if is_for_validation { &mut validation } else { &mut training };
         part.push(reference.clone());
     }
     let options = DeliveryOptions { updates: options.updates.div_ceil(PART_OF_UPDATES), ..options.clone() };
-    let [scene_hash, pictures] = input_hashes(scene, references);
+    let [scene_hash, pictures] = input_hashes(scene, &training);
+    let [_, compared] = input_hashes(scene, &validation);
     let of = format!(
-        "{}, scene {scene_hash}, {} pictures {pictures}, options {:016x}",
+        "{}, scene {scene_hash}, {} pictures {pictures}, {} for validation {compared}, options {:016x}",
         args.input,
-        references.len(),
+        training.len(),
+        validation.len(),
         options.hash()
     );
     let runs: Vec<(usize, u64)> = RANKS.flat_map(|rank| SEEDS.map(|seed| (rank, seed))).collect();

@@ -37,12 +37,15 @@ pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Red
     let (listed, instants) = if folder.join("transforms_train.json").is_file() {
         let own = |name: &str| {
             let path = folder.join(format!("transforms_{name}.json"));
-            if path.is_file() { Ok(photographs(folder, &path)?.0) } else { Ok(Vec::new()) }
+            if path.is_file() { photographs(folder, &path).map(Some) } else { Ok(None) }
         };
         let (train, validation, test) = (own("train")?, own("val")?, own("test")?);
+        check_times(folder, [("val", &validation), ("test", &test)], &train)?;
+        let [train, validation, test] =
+            [train, validation, test].map(|file| file.map_or(Vec::new(), |f| f.listed));
         (Listed { folder: folder.to_owned(), train, validation, test }, None)
     } else {
-        let (all, splits) = photographs(folder, &folder.join("transforms.json"))?;
+        let File { listed: all, splits, .. } = photographs(folder, &folder.join("transforms.json"))?;
         // Those of test views count: otherwise frames would fall between the instants of all others.
         let instants = distinct(all.iter().map(|view| view.time));
         let splits = splits.unwrap_or_else(|| {
@@ -79,8 +82,43 @@ pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Red
     Ok((dataset, photographs.report))
 }
 
-/// The photographs of the frames of a file, and what they are for, where it says so.
-fn photographs(folder: &Path, path: &Path) -> Result<(Vec<ListedPhotograph>, Option<Splits>), DatasetError> {
+/// What a file says of its frames.
+struct File {
+    listed: Vec<ListedPhotograph>,
+    /// What they are for, where it says so.
+    splits: Option<Splits>,
+    /// Whether it gives their times.
+    is_timed: bool,
+}
+
+/// Refuses files of which some give times and others do not: views without would all be of the first instant.
+fn check_times(
+    folder: &Path,
+    files: [(&str, &Option<File>); 2],
+    train: &Option<File>,
+) -> Result<(), DatasetError> {
+    let of_train = train.as_ref().is_some_and(|train| train.is_timed);
+    for (name, file) in files {
+        let differs = |file: &&File| !file.listed.is_empty() && file.is_timed != of_train;
+        if let Some(file) = file.as_ref().filter(differs) {
+            let (found, allowed) = if file.is_timed {
+                ("given", "absent, as in transforms_train.json, is allowed")
+            } else {
+                ("absent", "given of all frames, as in transforms_train.json, is allowed")
+            };
+            return Err(DatasetError::Field {
+                path: folder.join(format!("transforms_{name}.json")),
+                field: "time".to_owned(),
+                found: found.to_owned(),
+                allowed,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// The photographs of the frames of a file.
+fn photographs(folder: &Path, path: &Path) -> Result<File, DatasetError> {
     let bytes = read_bytes(path)?;
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     let cameras = |size| {
@@ -131,7 +169,7 @@ fn photographs(folder: &Path, path: &Path) -> Result<(Vec<ListedPhotograph>, Opt
             counted: mask.map(|mask| folder.join(mask)),
         }
     });
-    Ok((listed.collect(), splits))
+    Ok(File { listed: listed.collect(), splits, is_timed: timed > 0 })
 }
 
 /// The camera of a larger or smaller copy of its image; unchanged where that has another shape.

@@ -107,7 +107,7 @@ pub(super) fn read(folder: &Path, max_side: Option<u32>) -> Result<(Dataset, Red
         test_scale: photographs.test_scale,
         start: Start::Points(points),
         free_space: FreeSpace::default(),
-        has_alpha: false,
+        has_alpha: photographs.has_alpha,
         frames: 1,
         up: Up::MinusY,
         footprint: Footprint::Pixel,

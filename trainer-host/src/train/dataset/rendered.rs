@@ -20,7 +20,7 @@ use crate::{
 };
 
 /// How a scene is looked at.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderedOptions {
     /// Cameras all around per frame, for training.
     pub cameras: usize,
@@ -28,11 +28,14 @@ pub struct RenderedOptions {
     pub test_cameras: usize,
     /// Side of the square images, pixels.
     pub side: u32,
+    /// Time of the frame whose Gaussians a training starts with, 0 to 1, as
+    /// [`TrainOptions::canonical_time`](crate::train::TrainOptions::canonical_time).
+    pub canonical_time: f32,
 }
 
 impl Default for RenderedOptions {
     fn default() -> Self {
-        Self { cameras: 24, test_cameras: 4, side: 400 }
+        Self { cameras: 24, test_cameras: 4, side: 400, canonical_time: 0.5 }
     }
 }
 
@@ -84,7 +87,7 @@ pub fn rendered(scene: &Scene, name: &str, options: &RenderedOptions) -> Result<
         validation: Views::new(Vec::new())?,
         test: Views::new(test)?,
         test_scale: 1,
-        start: start(scene, scene.frames() / 2),
+        start: start(scene, 0..scene.frames(), options.canonical_time),
         free_space: FreeSpace::default(),
         has_alpha: true,
         frames: scene.frames(),
@@ -93,15 +96,16 @@ pub fn rendered(scene: &Scene, name: &str, options: &RenderedOptions) -> Result<
     })
 }
 
-/// `frames` of what was rendered of `scene`, as a clip of their own.
-pub fn part(dataset: &Dataset, scene: &Scene, frames: Range<usize>) -> Dataset {
+/// `frames` of what was rendered of `scene`, as a clip of their own, whose training starts with the Gaussians
+/// at `canonical_time` of it.
+pub fn part(dataset: &Dataset, scene: &Scene, frames: Range<usize>, canonical_time: f32) -> Dataset {
     Dataset {
         name: dataset.name.clone(),
         train: dataset.train.part(dataset.frames, &frames),
         validation: dataset.validation.part(dataset.frames, &frames),
         test: dataset.test.part(dataset.frames, &frames),
         test_scale: dataset.test_scale,
-        start: start(scene, frames.start + frames.len() / 2),
+        start: start(scene, frames.clone(), canonical_time),
         free_space: dataset.free_space.clone(),
         has_alpha: dataset.has_alpha,
         frames: frames.len(),
@@ -110,11 +114,13 @@ pub fn part(dataset: &Dataset, scene: &Scene, frames: Range<usize>) -> Dataset {
     }
 }
 
-/// The Gaussians of the frame nearest to `middle` that has some: a sequence may be empty at some frames.
-fn start(scene: &Scene, middle: usize) -> Start {
+/// The Gaussians of the frame nearest to `time` of `frames` that has some: a sequence may be empty at some
+/// frames.
+fn start(scene: &Scene, frames: Range<usize>, time: f32) -> Start {
+    let wanted = frames.start + (f64::from(time) * frames.len().saturating_sub(1) as f64).round() as usize;
     let count = |frame: usize| scene.locate(frame).map_or(0, |(epoch, _)| scene.epochs()[epoch].count());
     let shown = (0..scene.frames()).filter(|&frame| count(frame) > 0);
-    let nearest = shown.min_by_key(|frame| frame.abs_diff(middle)).unwrap_or(middle);
+    let nearest = shown.min_by_key(|frame| frame.abs_diff(wanted)).unwrap_or(wanted);
     let instant = scene.instant(nearest).unwrap_or_default();
     let degree = instant.sh_degree;
     Start::Gaussians(instant, degree)
@@ -188,13 +194,22 @@ mod tests {
 
     #[test]
     fn a_start_is_of_a_frame_that_has_gaussians() {
-        let options = RenderedOptions { cameras: 1, test_cameras: 1, side: 16 };
+        let options = RenderedOptions { cameras: 1, test_cameras: 1, side: 16, ..Default::default() };
         let scene = clip(&[false, true, false, false]);
         let dataset = rendered(&scene, "clip", &options).unwrap();
         let count = scene.max_count();
         assert!(count > 0 && started(&dataset) == count, "{} of {count}", started(&dataset));
-        assert_eq!(started(&part(&dataset, &scene, 0..2)), count);
-        assert_eq!(started(&part(&dataset, &scene, 2..4)), count, "of the part before");
+        assert_eq!(started(&part(&dataset, &scene, 0..2, 0.5)), count);
+        assert_eq!(started(&part(&dataset, &scene, 2..4, 0.5)), count, "of the part before");
+        let first = scene.epochs()[1].clone();
+        let more = synth::SynthOptions { gaussians: 1500, frames: 1, ..synth::SynthOptions::default() };
+        let last = synth::make(&more, &Limits::default()).unwrap().epochs()[0].clone();
+        let two = Scene::new(vec![first, Epoch::empty(), last], 30.0).unwrap();
+        let counts = [0.0, 1.0].map(|canonical_time| {
+            started(&rendered(&two, "clip", &RenderedOptions { canonical_time, ..options }).unwrap())
+        });
+        assert_eq!(counts, [two.epochs()[0].count(), two.epochs()[2].count()]);
+        assert_ne!(counts[0], counts[1]);
         let error = rendered(&clip(&[false; 3]), "clip", &options).unwrap_err().to_string();
         assert_eq!(error, "clip: none of its 3 frames has Gaussians; at least one Gaussian is needed");
     }

@@ -177,11 +177,11 @@ impl Default for LearningRates {
     }
 }
 
-/// How candidates are compared: on states and pictures that nothing is trained on.
+/// How candidates are compared: on states and pictures that no update is made on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Validation {
-    /// Every so many references are for validation, at least 2.
+    /// Every so many references are for validation, at least 2, where none are for it alone.
     pub every: usize,
     /// States, half after independent losses of 5 % and half after bursts of as much; 0 to 10,000, at least 1
     /// where there are candidates.
@@ -235,6 +235,7 @@ pub struct DeliveryOptions {
     /// How candidates are compared.
     pub validation: Validation,
     /// Where weights, hashes and the selection rule are written before the first update.
+    #[serde(skip)]
     pub registration: Option<PathBuf>,
     /// How the scene is encoded.
     #[serde(skip)]
@@ -321,6 +322,15 @@ impl DeliveryOptions {
             if !range.contains(&found) {
                 return refuse(field, &found, allowed);
             }
+        }
+        let recorded = self.recorded.as_deref().map(Path::display);
+        if let Some(path) = recorded.filter(|_| self.variant != Variant::Combined) {
+            let allowed = format!("a file with variant mixed alone, not with {},", self.variant.name());
+            return refuse("recorded", &path, &allowed);
+        }
+        if self.recorded.is_some() && self.clean() == self.worlds {
+            let allowed = format!("fewer than worlds ({}) where states are recorded", self.worlds);
+            return refuse("clean_worlds", &self.clean(), &allowed);
         }
         if candidates > 0 && states == 0 {
             return refuse("validation.states", &states, "1 to 10000 where validation.candidates is not 0");
@@ -416,6 +426,15 @@ mod tests {
                  from 3, is allowed",
             ),
             (r#"{"variant": "all"}"#, "variant"),
+            (
+                r#"{"variant": "iid", "recorded": "a.json"}"#,
+                "recorded is a.json; a file with variant mixed alone, not with iid, is allowed",
+            ),
+            (
+                r#"{"worlds": 4, "clean_worlds": 4, "recorded": "a.json"}"#,
+                "clean_worlds is 4; fewer than worlds (4) where states are recorded is allowed",
+            ),
+            (r#"{"registration": "a.json"}"#, "unknown field `registration`"),
         ] {
             std::fs::write(&path, text).unwrap();
             let error = DeliveryOptions::read(path.to_str().unwrap()).unwrap_err().to_string();

@@ -8,6 +8,7 @@ use render_host::{Backend, Settings};
 use super::{
     channel::LossModel,
     coded::Coded,
+    coding::Coding,
     config::{DeliveryOptions, LearningRates, Variant, Weights},
     drawing::Drawing,
     error::DeliveryError,
@@ -18,10 +19,10 @@ use super::{
     objective::{self, Terms, Worlds},
     parameters::{COMPONENTS, Parameters},
     rate_model::RateModel,
-    record::{Preregistration, Record, hex},
+    record::{Preregistration, Record},
     recorded::RecordedStates,
     select::{Candidate, select},
-    steps::{self, Steps},
+    steps,
     tuning::{Origin, Tuning},
     view::{Reference, View, views},
 };
@@ -63,7 +64,9 @@ pub struct FineTuned {
 /// the fine-tuning where it breaks: what is then taken is the best of the candidates so far, without
 /// validation the scene of that update.
 ///
-/// Every `validation.every`-th reference, and states from seeds of their own, are for validation alone.
+/// Every `validation.every`-th reference, and states from seeds of their own, are for validation alone. Where
+/// a block outgrows its packet or the objective is no number, the best of the candidates so far is taken, and
+/// the record says why.
 ///
 /// Pictures of states and their gradients are made by `backend`; validation runs on the processor with any,
 /// so that candidates are compared by one rule. A backend gives the same result bit for bit each time. That
@@ -72,8 +75,8 @@ pub struct FineTuned {
 ///
 /// # Errors
 /// An option out of range, references that do not fit the scene or are too few, a file of states that does
-/// not fit, a registration that cannot be written, an objective that is not finite; what encoder and renderer
-/// refuse, or no memory on the graphics device.
+/// not fit, a registration that cannot be written; without candidates, an objective that is not finite; what
+/// encoder and renderer refuse, or no memory on the graphics device.
 pub fn fine_tune(
     scene: &Scene,
     references: &[Reference],
@@ -81,10 +84,13 @@ pub fn fine_tune(
     backend: &Backend,
     progress: &dyn Fn(&Update) -> ControlFlow<()>,
 ) -> Result<FineTuned, DeliveryError> {
-    resume(scene, references, options, backend, None, &|update, _| progress(update))
+    resume(scene, (references, &[]), options, backend, None, &|update, _| progress(update))
 }
 
 /// As [`fine_tune`], from where `begun` is; `progress` hears of every update where the fine-tuning is then.
+/// References are those for training and those for validation; where there are none of these, every
+/// `validation.every`-th of the former is for validation alone.
+///
 /// Broken off after any update and gone on with from there on the same backend, it gives what it gives
 /// without, bit for bit. Between two updates it may go from one backend to another, too.
 ///
@@ -92,7 +98,7 @@ pub fn fine_tune(
 /// As [`fine_tune`]; a fine-tuning that was begun with another scene, other references or options.
 pub fn resume(
     scene: &Scene,
-    references: &[Reference],
+    references: (&[Reference], &[Reference]),
     options: &DeliveryOptions,
     backend: &Backend,
     begun: Option<Tuning>,
@@ -118,10 +124,8 @@ pub fn resume(
         sampler,
         recorded: recorded.unwrap_or_default(),
     };
-    let first_worlds = run.worlds_hash(0..options.updates.min(10));
-    let registration = Preregistration::of(options, &validation_masks, first_worlds);
-    let worlds = hex(run.worlds_hash(0..options.updates));
-    let made_from = Origin::of(&registration, &coded.encoded.stream, references, &worlds);
+    let registration = Preregistration::of(options, &validation_masks, run.worlds_hash(0..options.updates));
+    let made_from = Origin::of(&registration, &coded.encoded.stream, [&training, &validation]);
     let coding = Coding::new(scene, &coded, options);
     let mut at = match begun {
         Some(begun) => begun.checked(&made_from, &coded, &parameters, options.updates)?,
@@ -138,12 +142,21 @@ pub fn resume(
     }
     let of_encoded = at.encoded.as_ref().unwrap_or(&parameters);
     let mut rate_model = RateModel::of(scene, of_encoded, &coded.encoded.decisions);
+    let mut stopped = None;
     for update in at.updates..=options.updates {
         if update > 0 && (update.is_multiple_of(options.encode_every) || run.is_candidate(update)) {
             if update > run.warm_up() {
                 at.steps.advance();
             }
-            coded = coding.coded(&mut at.steps, &at.parameters)?;
+            coded = match coding.coded(&mut at.steps, &at.parameters) {
+                Ok(coded) => coded,
+                // What was validated before is not lost.
+                Err(error @ DeliveryError::Encode(EncodeError::BlockTooLarge { .. })) if at.has_best() => {
+                    stopped = Some(error.to_string());
+                    break;
+                }
+                Err(error) => return Err(error),
+            };
             at.encoded = Some(at.parameters.clone());
             rate_model = RateModel::of(scene, &at.parameters, &coded.encoded.decisions);
         }
@@ -157,7 +170,7 @@ pub fn resume(
                 clean_db: found.clean_db,
                 wire_bytes: found.wire_bytes,
             };
-            at.add(candidate, &coded.encoded.decisions)?;
+            at.add(candidate, &coded.encoded.decisions, coding.allowed)?;
         }
         if update == options.updates {
             break;
@@ -165,7 +178,12 @@ pub fn resume(
         let now = (&at.parameters, &rate_model);
         let (terms, gradient, heard) = run.step(update, &coded, now, &mut drawing, &settings)?;
         if !heard.objective.is_finite() {
-            return Err(DeliveryError::Diverged { update, found: heard.objective });
+            let error = DeliveryError::Diverged { update, found: heard.objective };
+            if at.has_best() {
+                stopped = Some(error.to_string());
+                break;
+            }
+            return Err(error);
         }
         at.objective.push(heard.objective);
         at.terms.push(terms);
@@ -191,82 +209,26 @@ pub fn resume(
     };
     let record = Record {
         registration,
-        worlds,
+        stopped,
         device: backend.name(),
         objective: at.objective,
         terms: at.terms,
-        taken: select(&at.candidates),
+        taken: select(&at.candidates, coding.allowed),
         candidates: at.candidates,
     };
     let given = coding.decisions;
     Ok(FineTuned { scene: parameters.applied(scene)?, decisions, given, record })
 }
 
-/// How a scene is coded while its parameters and steps change.
-struct Coding<'a> {
-    scene: &'a Scene,
-    /// What the encoder chose.
-    decisions: Decisions,
-    table_choices: usize,
-    /// Values beyond the range of their symbols that the encoder's own steps leave.
-    saturated: u64,
-}
-
-impl<'a> Coding<'a> {
-    /// As in `coded`, the encoding of `scene` under `options`.
-    fn new(scene: &'a Scene, coded: &Coded, options: &DeliveryOptions) -> Self {
-        let (encoded, table_choices) = (&coded.encoded, options.encode.table_choices);
-        let saturated = encoded.report.ledger.saturated;
-        Self { scene, decisions: encoded.decisions.clone(), table_choices, saturated }
-    }
-
-    /// The steps that a fine-tuning of `scene`, whose first encoding is `coded`, begins with.
-    ///
-    /// # Errors
-    /// What the encoder refuses of other steps.
-    fn steps(scene: &Scene, coded: &Coded, options: &DeliveryOptions) -> Result<Steps, DeliveryError> {
-        let encoded = &coded.encoded;
-        let gaussians = encoded.order.iter().map(Vec::len).sum::<usize>().max(1);
-        // R is in kilobits per Gaussian.
-        let price = 8.0 * options.variant.weights(&options.weights).rate / (1000.0 * gaussians as f64);
-        match options.learn_steps {
-            true => Steps::learned(scene, encoded, options.encode.table_choices, price),
-            false => Ok(Steps::fixed(&encoded.decisions)),
-        }
-    }
-
-    /// The scene with `parameters`, coded with `steps`.
-    ///
-    /// # Errors
-    /// As [`Coded::rewrite`].
-    fn with_steps(&self, steps: &Steps, parameters: &Parameters) -> Result<Coded, DeliveryError> {
-        Coded::with_tables(self.scene, parameters, &steps.of(&self.decisions), self.table_choices)
-    }
-
-    /// The same, or with the steps before their last change where these do not fit packets or symbols.
-    ///
-    /// # Errors
-    /// As [`Coded::rewrite`].
-    fn coded(&self, steps: &mut Steps, parameters: &Parameters) -> Result<Coded, DeliveryError> {
-        let first = self.with_steps(steps, parameters);
-        let fits = match &first {
-            Ok(coded) => coded.encoded.report.ledger.saturated <= self.saturated,
-            Err(DeliveryError::Encode(EncodeError::BlockTooLarge { .. })) => false,
-            Err(_) => true,
-        };
-        if fits || !steps.step_back() { first } else { self.with_steps(steps, parameters) }
-    }
-}
-
-/// References for training and for validation.
+/// References for training and for validation: as given, or else some of the former.
 fn split(
-    references: &[Reference],
+    (references, validation): (&[Reference], &[Reference]),
     options: &DeliveryOptions,
 ) -> Result<(Vec<Reference>, Vec<Reference>), DeliveryError> {
-    if options.validation.candidates == 0 {
+    if options.validation.candidates == 0 || !validation.is_empty() {
         return match references.is_empty() {
             true => Err(DeliveryError::NoReference { found: 0, purpose: "training" }),
-            false => Ok((references.to_vec(), Vec::new())),
+            false => Ok((references.to_vec(), validation.to_vec())),
         };
     }
     let every = options.validation.every;

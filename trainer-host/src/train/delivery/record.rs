@@ -21,21 +21,22 @@ pub struct Preregistration {
     pub weights: Weights,
     /// Hash of the validation states.
     pub validation_masks: String,
-    /// Hash of the first ten updates' worlds.
-    pub first_worlds: String,
+    /// Hash of all worlds of all updates, in order; empty in files that do not say.
+    #[serde(default)]
+    pub worlds: String,
     /// How a candidate is chosen.
     pub selection_rule: String,
 }
 
 impl Preregistration {
-    /// That of `options`, with the states of validation and the hash of those of the first updates.
-    pub(super) fn of(options: &DeliveryOptions, validation: &Masks, first_worlds: u64) -> Self {
+    /// That of `options`, with the states of validation and the hash of those of all updates.
+    pub(super) fn of(options: &DeliveryOptions, validation: &Masks, worlds: u64) -> Self {
         Self {
             options: options.clone(),
             config_hash: hex(options.hash()),
             weights: options.variant.weights(&options.weights),
             validation_masks: hex(validation.hash()),
-            first_worlds: hex(first_worlds),
+            worlds: hex(worlds),
             selection_rule: RULE.to_owned(),
         }
     }
@@ -70,8 +71,9 @@ pub(super) fn hex(hash: u64) -> String {
 pub struct Record {
     /// What was fixed before.
     pub registration: Preregistration,
-    /// Hash of all worlds of all updates, in order.
-    pub worlds: String,
+    /// Why no update was made after the last that was, where that was not a person's wish.
+    #[serde(default)]
+    pub stopped: Option<String>,
     /// The device that drew and differentiated states in the run that ended the fine-tuning, as
     /// [`render_host::Backend::name`] says it; empty in files that do not say.
     #[serde(default)]
@@ -102,7 +104,7 @@ mod tests {
         let masks = Masks { states: Vec::new() };
         let record = Record {
             registration: Preregistration::of(&DeliveryOptions::default(), &masks, 7),
-            worlds: hex(8),
+            stopped: None,
             device: "cpu".to_owned(),
             objective: vec![0.5],
             terms: vec![Terms::default()],

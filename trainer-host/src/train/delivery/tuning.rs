@@ -24,7 +24,7 @@ use crate::{
 };
 
 const MAGIC: &str = "DGSTUNED";
-const VERSION: u16 = 2;
+const VERSION: u16 = 3;
 
 /// A fine-tuning between two updates.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -55,13 +55,8 @@ pub(super) struct Origin {
 }
 
 impl Origin {
-    /// Of what was registered, the first encoding, references, and the hash of the worlds of all updates.
-    pub(super) fn of(
-        registration: &Preregistration,
-        stream: &Stream,
-        references: &[Reference],
-        worlds: &str,
-    ) -> Self {
+    /// Of what was registered, the first encoding, and references for training and for validation.
+    pub(super) fn of(registration: &Preregistration, stream: &Stream, references: [&[Reference]; 2]) -> Self {
         let scene = stream
             .packets()
             .iter()
@@ -69,8 +64,8 @@ impl Origin {
         Self {
             config: registration.config_hash.clone(),
             scene: hex(scene.get()),
-            references: references_hash(references),
-            worlds: worlds.to_owned(),
+            references: references.map(references_hash).join(" "),
+            worlds: registration.worlds.clone(),
         }
     }
 
@@ -171,17 +166,28 @@ impl Tuning {
         &self.candidates
     }
 
-    /// Adds a candidate, the scene of now by `decisions`.
+    /// Adds a candidate, the scene of now by `decisions`; at most so many bytes on the wire are allowed, if
+    /// any number is.
     ///
     /// # Errors
     /// [`DeliveryError::Resumed`] for decisions that JSON cannot hold.
-    pub(super) fn add(&mut self, candidate: Candidate, decisions: &Decisions) -> Result<(), DeliveryError> {
+    pub(super) fn add(
+        &mut self,
+        candidate: Candidate,
+        decisions: &Decisions,
+        allowed: Option<u64>,
+    ) -> Result<(), DeliveryError> {
         self.candidates.push(candidate);
-        if select(&self.candidates) == Some(self.candidates.len() - 1) {
+        if select(&self.candidates, allowed) == Some(self.candidates.len() - 1) {
             let text = serde_json::to_string(decisions).map_err(|_| DECISIONS)?;
             self.best = Some((self.parameters.clone(), text));
         }
         Ok(())
+    }
+
+    /// Whether there is a candidate.
+    pub(super) fn has_best(&self) -> bool {
+        self.best.is_some()
     }
 
     /// Parameters and decisions of the candidate that the rule takes; none without candidates.

@@ -15,7 +15,7 @@ fn epochs(kind: SynthKind, frames: usize, seed: u64) -> Vec<Epoch> {
 
 fn parted(epochs: Vec<Epoch>, options: SplitOptions) -> (Parts, usize) {
     let scene = Scene::new(epochs, 30.0).unwrap();
-    let pictures = RenderedOptions { cameras: 4, test_cameras: 1, side: 64 };
+    let pictures = RenderedOptions { cameras: 4, test_cameras: 1, side: 64, ..Default::default() };
     let dataset = rendered(&scene, "clip", &pictures).unwrap();
     let train = TrainOptions { max_gaussians: 2000, nodes: 16, ..TrainOptions::default() };
     let mut trials = 0;
@@ -48,14 +48,14 @@ fn what_does_not_change_at_once_is_not_tried_and_what_does_not_gain_is_not_parte
 #[test]
 fn parts_show_what_the_clip_shows() {
     let scene = Scene::new(epochs(SynthKind::Figure, 6, 1), 30.0).unwrap();
-    let pictures = RenderedOptions { cameras: 3, test_cameras: 1, side: 32 };
+    let pictures = RenderedOptions { cameras: 3, test_cameras: 1, side: 32, ..Default::default() };
     let dataset = rendered(&scene, "clip", &pictures).unwrap();
-    let part = rendered::part(&dataset, &scene, 2..6);
+    let part = rendered::part(&dataset, &scene, 2..6, 0.5);
     assert_eq!((part.frames, part.train.photographs().len(), part.test.photographs().len()), (4, 12, 4));
     let (whole, of_part) = (&dataset.train.photographs()[6..], part.train.photographs());
     assert!(whole.iter().zip(of_part).all(|(a, b)| a.name == b.name));
     let times: Vec<f32> = of_part.iter().step_by(3).map(|view| view.time).collect();
     assert_eq!(times, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0]);
-    let single = rendered::part(&dataset, &scene, 5..6);
+    let single = rendered::part(&dataset, &scene, 5..6, 0.5);
     assert_eq!((single.frames, single.train.photographs()[0].time), (1, 0.0));
 }

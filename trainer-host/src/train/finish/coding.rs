@@ -95,19 +95,24 @@ impl Coding {
                 }
             });
         }
-        for (index, Start { values, turn, length }) in Self::starts(model).into_iter().enumerate() {
+        let rounded = |(index, Start { values, turn, length }): (usize, Start)| {
             let rounded = match self.rounding.quantisers(index) {
                 Some((quant, _)) => self.rounding.rounded(quant, &values),
                 None => values,
             };
             let moved = Vec3::from_array(rounded.position) - Vec3::from_array(values.position);
             let position = Vec3::from_slice(g.position.item(index)) + matrix(turn).transpose() * moved;
-            out.position.item_mut(index).copy_from_slice(&position.to_array());
             let rotation = quat_mul(conjugate(turn), unit(rounded.rotation)).map(|v| length * v);
-            out.rotation.item_mut(index).copy_from_slice(&rotation);
-            out.log_scale.item_mut(index).copy_from_slice(&rounded.log_scale);
             let opacity = rounded.opacity.clamp(OPACITIES.0, OPACITIES.1);
-            out.opacity.item_mut(index)[0] = logit(opacity);
+            (CanonicalValues { position: position.to_array(), rotation, ..rounded }, logit(opacity))
+        };
+        let starts = Self::starts(model).into_par_iter().with_min_len(CHUNK).enumerate();
+        let all: Vec<(CanonicalValues, f32)> = starts.map(rounded).collect();
+        for (index, (rounded, logit)) in all.iter().enumerate() {
+            out.position.item_mut(index).copy_from_slice(&rounded.position);
+            out.rotation.item_mut(index).copy_from_slice(&rounded.rotation);
+            out.log_scale.item_mut(index).copy_from_slice(&rounded.log_scale);
+            out.opacity.item_mut(index)[0] = *logit;
             out.sh0.item_mut(index).copy_from_slice(&rounded.sh0);
         }
     }

@@ -143,7 +143,8 @@ mod tests {
         let synthetic =
             synth::SynthOptions { kind: SynthKind::Figure, gaussians: 1000, frames: 1, ..Default::default() };
         let scene = synth::make(&synthetic, &Limits::default()).unwrap();
-        let options = rendered::RenderedOptions { cameras: 40, test_cameras: 1, side: 32 };
+        let options =
+            rendered::RenderedOptions { cameras: 40, test_cameras: 1, side: 32, ..Default::default() };
         let mut dataset = rendered::rendered(&scene, "figure", &options).unwrap();
         dataset.start = Start::VisualHull;
         let counts_of: Vec<u8> = (0..32 * 32).map(|at| u8::from(at % 32 >= 8)).collect();

@@ -6,7 +6,7 @@
 //! encoder chooses its clusters later; until then neighbourhoods stand for them, which like them are found by
 //! where Gaussians are over the clip.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3, DVec4};
 use serde::{Deserialize, Serialize};
 
 use super::trajectory::{self, Trajectory};
@@ -15,8 +15,12 @@ use super::trajectory::{self, Trajectory};
 const MOST: usize = 64;
 /// A quantiser step of what is left, extents: what is smaller costs next to nothing.
 const STEP: f64 = 4e-4;
-/// Share of the mean variance by which a flat or thin neighbourhood is held to a map that keeps it as it is.
+/// Share of the mean variance by which a flat or thin neighbourhood is held to the mean turn of its Gaussians,
+/// as the encoder's fit of a pose is.
 const RIDGE: f64 = 1e-3;
+
+/// Where a Gaussian is and how it is turned: scene units, and a quaternion wxyz of any length.
+pub(crate) type Placed = ([f32; 3], [f32; 4]);
 
 /// Which Gaussians move together: the neighbourhood of each, none of those that stand still.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -54,19 +58,19 @@ impl Neighbourhoods {
             || self.0.len() == points && self.0.iter().flatten().all(|&number| (number as usize) < MOST)
     }
 
-    /// Gives `each` the index of every point that moves, what the affine map of its neighbourhood, of least
+    /// Gives `each` the index of every Gaussian that moves, what the affine map of its neighbourhood, of least
     /// squares, leaves of where it is (`moved` less the map of `rest`, scene units), and that map's matrix.
     pub(crate) fn each_residual(
         &self,
-        rest: &[[f32; 3]],
-        moved: impl Fn(usize) -> [f32; 3],
+        rest: impl Fn(usize) -> Placed,
+        moved: impl Fn(usize) -> Placed,
         mut each: impl FnMut(usize, DVec3, DMat3),
     ) {
         let vector = |p: [f32; 3]| DVec3::from_array(p.map(f64::from));
         let points = || {
             let numbered =
                 |(index, number): (usize, &Option<u32>)| number.map(|number| (index, number as usize));
-            let at = |(index, number)| (index, number, vector(rest[index]), vector(moved(index)));
+            let at = |(index, number)| (index, number, vector(rest(index).0), vector(moved(index).0));
             self.0.iter().enumerate().filter_map(numbered).map(at)
         };
         let mut means = [(DVec3::ZERO, DVec3::ZERO, 0.0f64); MOST];
@@ -86,16 +90,35 @@ impl Neighbourhoods {
             moments[number].0 += outer(p, p);
             moments[number].1 += outer(x, p);
         }
+        let mut turns = [DVec4::ZERO; MOST];
+        for (index, number, ..) in points() {
+            let turn = unit(moved(index).1) * unit(rest(index).1).conjugate();
+            // A quaternion and its negative are one turn.
+            let sign = if turns[number].dot(turn.into()) < 0.0 { -1.0 } else { 1.0 };
+            turns[number] += sign * DVec4::from(turn);
+        }
+        let mut turns = turns.into_iter().map(|sum| DMat3::from_quat(unit_of(sum)));
         let maps = moments.map(|(of_rest, of_both)| {
+            let turn = turns.next().unwrap_or(DMat3::IDENTITY);
             let trace = of_rest.x_axis.x + of_rest.y_axis.y + of_rest.z_axis.z;
-            let ridge = DMat3::from_diagonal(DVec3::splat(RIDGE * trace / 3.0 + 1e-12));
-            (of_both + ridge) * (of_rest + ridge).inverse()
+            let ridge = RIDGE * trace / 3.0 + 1e-12;
+            (of_both + turn * ridge) * (of_rest + DMat3::IDENTITY * ridge).inverse()
         });
         for (index, number, p, x) in points() {
             let map = maps[number];
             each(index, x - means[number].1 - map * (p - means[number].0), map);
         }
     }
+}
+
+/// The turn of a quaternion wxyz.
+fn unit([w, x, y, z]: [f32; 4]) -> DQuat {
+    unit_of(DVec4::from([x, y, z, w].map(f64::from)))
+}
+
+/// The turn of a quaternion xyzw, that of none of no length.
+fn unit_of(xyzw: DVec4) -> DQuat {
+    xyzw.try_normalize().map_or(DQuat::IDENTITY, DQuat::from_vec4)
 }
 
 /// The matrix `a bᵀ`.
@@ -131,10 +154,44 @@ mod tests {
         Neighbourhoods::of(&points.iter().map(|&p| [p; _]).collect::<Vec<Trajectory>>(), |index| index != 7)
     }
 
+    const NO_TURN: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
+
     fn residuals(found: &Neighbourhoods, rest: &[[f32; 3]], moved: &[[f32; 3]]) -> Vec<(usize, DVec3)> {
+        turned_residuals(found, rest, moved, NO_TURN)
+    }
+
+    /// Of Gaussians that `turn` turns.
+    fn turned_residuals(
+        found: &Neighbourhoods,
+        rest: &[[f32; 3]],
+        moved: &[[f32; 3]],
+        turn: [f32; 4],
+    ) -> Vec<(usize, DVec3)> {
         let mut out = Vec::new();
-        found.each_residual(rest, |index| moved[index], |index, residual, _| out.push((index, residual)));
+        found.each_residual(
+            |index| (rest[index], NO_TURN),
+            // A quaternion and its negative, of any length, are one turn.
+            |index| (moved[index], turn.map(|v| if index % 2 == 0 { 3.0 * v } else { -v })),
+            |index, residual, _| out.push((index, residual)),
+        );
         out
+    }
+
+    /// The encoder sends a turn of a flat part free: what it leaves costs nothing here either.
+    #[test]
+    fn a_flat_part_that_turns_leaves_nothing() {
+        let points: Vec<[f32; 3]> = cloud(900).into_iter().map(|[x, y, z]| [x, y, 0.03 * z]).collect();
+        let found = neighbourhoods(&points);
+        let (sin, cos) = 0.7f32.sin_cos();
+        let turned = moved(&points, |[x, y, z]| [x, cos * y - sin * z, sin * y + cos * z]);
+        let turn = [0.35f32.cos(), 0.35f32.sin(), 0.0, 0.0];
+        let most = |residuals: Vec<(usize, DVec3)>| {
+            residuals.into_iter().map(|(_, residual)| residual.length()).fold(0.0, f64::max)
+        };
+        let left = most(turned_residuals(&found, &points, &turned, turn));
+        assert!(left < 1e-6, "{left}");
+        let held = most(residuals(&found, &points, &turned));
+        assert!(held > STEP, "held to no turn it leaves {held}");
     }
 
     fn moved(points: &[[f32; 3]], by: impl Fn([f32; 3]) -> [f32; 3]) -> Vec<[f32; 3]> {
@@ -180,6 +237,7 @@ mod tests {
         let points = cloud(900);
         let found = neighbourhoods(&points);
         let bent = moved(&points, |[x, y, z]| [x + 0.2 * y * z, y + 0.3 * (20.0 * x).sin(), z]);
+        const TURN: [f32; 4] = [0.8, 0.0, 0.6, 0.0];
         let mut slow = vec![DVec3::NAN; points.len()];
         for number in 0..MOST as u32 {
             let members: Vec<usize> = (0..900).filter(|&index| found.0[index] == Some(number)).collect();
@@ -187,7 +245,7 @@ mod tests {
                 members.iter().map(|&index| places[index].map(f64::from)).collect()
             };
             let (from, to) = (of(&points), of(&bent));
-            let pose = fit_pose(&from, &to, [0.0; 3], [1.0, 0.0, 0.0, 0.0]);
+            let pose = fit_pose(&from, &to, [0.0; 3], TURN.map(f64::from));
             for ((&index, p), x) in members.iter().zip(from).zip(to) {
                 let placed: [f64; 3] = (pose.translation + pose.linear * nalgebra::Vector3::from(p)).into();
                 slow[index] = DVec3::from_array(x) - DVec3::from_array(placed);
@@ -196,11 +254,11 @@ mod tests {
         let furthest = |residuals: &[(usize, DVec3)]| {
             residuals.iter().map(|(index, residual)| residual.distance(slow[*index])).fold(0.0, f64::max)
         };
-        let residuals = residuals(&found, &points, &bent);
-        assert!(residuals.len() == 899 && furthest(&residuals) < 1e-12, "{}", furthest(&residuals));
+        let residuals = turned_residuals(&found, &points, &bent, TURN);
+        assert!(residuals.len() == 899 && furthest(&residuals) < 1e-7, "{}", furthest(&residuals));
         // Of other neighbourhoods they are others.
         let scattered = Neighbourhoods((0..900).map(|index| Some(index % 64)).collect());
-        assert!(furthest(&super::tests::residuals(&scattered, &points, &bent)[1..7]) > 1e-3);
+        assert!(furthest(&turned_residuals(&scattered, &points, &bent, TURN)[1..7]) > 1e-3);
     }
 
     #[test]
@@ -245,7 +303,7 @@ mod tests {
                 without += of_moved.dot(turned).abs();
             }
         };
-        found.each_residual(&points, |index| to[index], each);
+        found.each_residual(|index| (points[index], NO_TURN), |index| (to[index], NO_TURN), each);
         assert!(along < 0.3 * without, "{along} {without}");
     }
 }

@@ -37,6 +37,20 @@ fn what_is_left_of_a_training_that_gives_up_is_not_complete() {
     assert_eq!(attempts(&mut resumed).0, 0);
 }
 
+/// A training that ends just where its loss becomes another, as where a device is lost, leaves a checkpoint
+/// that is read.
+#[test]
+fn a_checkpoint_of_where_the_loss_becomes_another_is_read() {
+    let dataset = dataset(synth::SynthKind::Balls, 2, 6);
+    let mut trainer = Trainer::new(&dataset, &options()).unwrap();
+    trainer.step(0.0).unwrap();
+    trainer.begin_another_loss();
+    let bytes = Checkpoint::of(&trainer, &dataset, 0.5).to_bytes().unwrap();
+    let mut resumed = Checkpoint::from_bytes(&bytes).unwrap().resume(&dataset).unwrap();
+    assert_eq!(resumed.step(0.5).unwrap().rollback, None);
+    assert_eq!(resumed.steps(), 2);
+}
+
 /// A checkpoint of another version is refused with both versions.
 #[test]
 fn checkpoints_of_other_versions_are_refused_by_name() {

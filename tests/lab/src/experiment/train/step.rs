@@ -51,7 +51,11 @@ pub(super) fn stages(
     gaussians: usize,
     runs: usize,
 ) -> Result<()> {
-    let dataset = rendered(scene, "figure", &RenderedOptions { cameras: CAMERAS, test_cameras: 1, side })?;
+    let dataset = rendered(
+        scene,
+        "figure",
+        &RenderedOptions { cameras: CAMERAS, test_cameras: 1, side, ..Default::default() },
+    )?;
     let options = |nodes| TrainOptions {
         initial_gaussians: gaussians,
         max_gaussians: gaussians,

@@ -88,7 +88,11 @@ type Weight = fn(Part, f64) -> f64;
 /// # Errors
 /// What the trainer or the renderer refuses.
 pub(super) fn variance(bench: &mut Bench, scene: &Scene, side: u32, steps: u32) -> Result<()> {
-    let dataset = rendered(scene, "figure", &RenderedOptions { cameras: 2, test_cameras: 1, side })?;
+    let dataset = rendered(
+        scene,
+        "figure",
+        &RenderedOptions { cameras: 2, test_cameras: 1, side, ..Default::default() },
+    )?;
     let options = TrainOptions { max_side: side, background: WHITE, ..TrainOptions::default() };
     let mut trainer = Trainer::new(&dataset, &options)?;
     for step in 0..steps {
@@ -250,7 +254,11 @@ mod tests {
     #[test]
     fn gradients_of_squares_add_up_to_that_of_the_photograph() -> Result<()> {
         let scene = crate::setup::synth("figure", 1000, 2)?;
-        let dataset = rendered(&scene, "figure", &RenderedOptions { cameras: 1, test_cameras: 1, side: 80 })?;
+        let dataset = rendered(
+            &scene,
+            "figure",
+            &RenderedOptions { cameras: 1, test_cameras: 1, side: 80, ..Default::default() },
+        )?;
         let view = dataset.train.photographs().first().context("no photograph")?;
         let instant = scene.instant(1).context("no frame 1")?;
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;

@@ -101,7 +101,7 @@ impl Study {
         let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::STANDARD);
         let stream = pipeline::encode(scene, &options, setup.quiet)?.stream;
         let map = PacketMap::of(&stream)?;
-        let table = schedulers::utilities(scene, &stream, &map, setup)?;
+        let table = schedulers::utilities(scene, &stream, setup)?;
         let graph = pipeline::graph(&stream, &map, Some(&table))?;
         let camera = Framing::of(scene).ring(Ring::HeldOut, 1, (SIDE, SIDE))?.remove(0);
         let frames = Frames::new(&spread(scene.frames(), pictures), scene.frames() as u32);

@@ -60,7 +60,7 @@ pub(super) fn run(bench: &mut Bench, setup: &Setup) -> Result<()> {
     )?
     .stream;
     let map = PacketMap::of(&stream)?;
-    let table = utilities(&scene, &stream, &map, setup)?;
+    let table = utilities(&scene, &stream, setup)?;
     let graph = pipeline::graph(&stream, &map, Some(&table))?;
     let clip_s = f64::from(graph.frames()) * graph.frame_interval().as_s();
     // Windows of every controller and load over all traces, beside those of each trace.
@@ -214,7 +214,6 @@ fn push_mean(
 pub(super) fn utilities(
     scene: &Scene,
     stream: &trainer_host::Stream,
-    map: &PacketMap,
     setup: &Setup,
 ) -> Result<utility::Table> {
     let cameras = Framing::of(scene).ring(Ring::Validation, 3, (96, 96))?;
@@ -222,8 +221,7 @@ pub(super) fn utilities(
     let options = utility::UtilityOptions { contexts, ..utility::UtilityOptions::paper() };
     let gain_cameras = utility::gain_cameras(scene)?;
     let references = utility::References::renders(scene, &cameras, &gain_cameras);
-    let received = stream.receive()?;
-    pipeline::utilities(&references, &received.content(), map, &options, None, setup.quiet, &mut |_| ())
+    pipeline::utilities(&references, stream, &options, None, setup.quiet, &mut |_| ())
 }
 
 #[cfg(test)]

@@ -141,7 +141,7 @@ impl<'s> Study<'s> {
         let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::STANDARD);
         let stream = pipeline::encode(scene, &options, setup.quiet)?.stream;
         let map = PacketMap::of(&stream)?;
-        let table = schedulers::utilities(scene, &stream, &map, setup)?;
+        let table = schedulers::utilities(scene, &stream, setup)?;
         let graph = pipeline::graph(&stream, &map, Some(&table))?;
         let frames = spread(scene.frames(), size(setup).pictures);
         Ok(Self { scene, stream, map, graph, frames })

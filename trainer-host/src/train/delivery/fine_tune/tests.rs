@@ -6,7 +6,7 @@ use std::{
 use super::*;
 use crate::{
     encode,
-    train::delivery::{LossUnit, Recording, drawing::tests::gpu, evaluate, view::tests::study},
+    train::delivery::{LossUnit, Recording, drawing::tests::gpu, evaluate, record::hex, view::tests::study},
 };
 
 /// How far apart two devices may be in the objective of any of a few updates, relative: as in gradients.
@@ -36,7 +36,7 @@ fn one_seed_gives_one_scene_on_any_number_of_threads() {
     let (one, three, other) = (train(1, 1), train(3, 1), train(1, 2));
     assert_eq!(one.record, three.record);
     assert!(one.scene.epochs() == three.scene.epochs());
-    assert_ne!(one.record.worlds, other.record.worlds);
+    assert_ne!(one.record.registration.worlds, other.record.registration.worlds);
     assert_ne!(one.record.objective, other.record.objective);
 }
 
@@ -110,6 +110,68 @@ fn a_fine_tuning_that_is_broken_off_returns_what_exists() {
     assert_eq!(whole.record.candidates.last().map(|candidate| candidate.updates), Some(3));
 }
 
+/// Where a size is asked for, steps that are learnt keep to it, and what does not is not taken.
+#[test]
+fn a_size_that_was_asked_for_is_kept() {
+    let (scene, references) = study(3, 1);
+    let with = |target: Option<u64>, learn_steps: bool| {
+        let mut options =
+            DeliveryOptions { updates: 40, warm_up: 0.0, learn_steps, ..options(Variant::Combined) };
+        options.encode.target = target.map(encode::Target::Bytes);
+        fine_tune(&scene, &references, &options, &Backend::Cpu, &|_| Continue(())).unwrap().record
+    };
+    let first = with(None, true).candidates[0].wire_bytes;
+    let allowed = 9 * first / 10;
+    let learnt = with(Some(allowed), true);
+    assert_eq!(learnt.candidates.len(), 3);
+    assert!(learnt.candidates.iter().all(|candidate| candidate.wire_bytes <= allowed), "{learnt:?}");
+    let fixed = with(Some(allowed), false);
+    let (_, taken) = fixed.before_and_taken().unwrap();
+    assert!(taken.wire_bytes <= allowed, "{:?}", fixed.candidates);
+    assert!(
+        fixed.candidates.iter().any(|candidate| candidate.wire_bytes > allowed),
+        "{:?}",
+        fixed.candidates
+    );
+}
+
+/// What was validated before is taken where a fine-tuning cannot go on, and the record says why it ended.
+#[test]
+fn what_was_validated_is_not_lost_where_a_block_outgrows_its_packet() {
+    let (scene, references) = study(3, 1);
+    let mut options = DeliveryOptions { updates: 60, warm_up: 0.0, ..options(Variant::Reconstruction) };
+    options.encode.packet_bytes = 200;
+    // Positions and colours that go far take many bits.
+    options.learning_rates.position = 30.0;
+    options.learning_rates.colour = 3.0;
+    let tune =
+        |options: &DeliveryOptions| fine_tune(&scene, &references, options, &Backend::Cpu, &|_| Continue(()));
+    let tuned = tune(&options).unwrap();
+    let why = tuned.record.stopped.clone().unwrap();
+    assert!(why.contains("does not fit") || why.contains("objective is"), "{why}");
+    assert!(tuned.record.objective.len() < 60 && tuned.record.taken.is_some());
+    options.validation.candidates = 0;
+    assert!(tune(&options).is_err(), "there is nothing to take");
+}
+
+/// Pictures for validation alone take none of the others.
+#[test]
+fn candidates_are_compared_on_pictures_for_validation_alone() {
+    let (scene, references) = study(3, 2);
+    let options = DeliveryOptions { updates: 2, ..options(Variant::Iid) };
+    let (training, validation) = references.split_at(4);
+    let tuned = |training: &[Reference], validation: &[Reference]| {
+        resume(&scene, (training, validation), &options, &Backend::Cpu, None, &|_, _| Continue(())).unwrap()
+    };
+    let apart = tuned(training, validation);
+    let masks = Masks { states: Vec::new() };
+    let expected = evaluate(&scene, &apart.given, &masks, validation).unwrap();
+    assert!((apart.record.candidates[0].clean_db - expected.clean_db).abs() < 1e-6);
+    let same = tuned(training, &references[5..]);
+    assert_eq!(same.record.objective, apart.record.objective, "trained on the same");
+    assert_ne!(same.record.candidates[0].clean_db, apart.record.candidates[0].clean_db);
+}
+
 #[test]
 fn too_few_references_and_bad_options_are_named() {
     let (scene, references) = study(3, 1);
@@ -149,7 +211,7 @@ fn recorded_states_are_trained_on_and_must_fit() {
     let recording = Recording::of(&encoded.stream, (0..).zip(masks.states)).unwrap();
     let worlds = |options: &DeliveryOptions| {
         fine_tune(&scene, &references, options, &Backend::Cpu, &|_| Continue(()))
-            .map(|tuned| tuned.record.worlds)
+            .map(|tuned| tuned.record.registration.worlds)
     };
     let without = worlds(&options).unwrap();
     options.recorded = Some(path.clone());
@@ -175,14 +237,15 @@ fn a_fine_tuning_goes_on_bit_for_bit() {
             *bytes.lock().unwrap() = at.to_bytes().unwrap();
             Break(())
         };
-        resume(&scene, &references, &options, &Backend::Cpu, None, &progress).unwrap();
+        resume(&scene, (&references, &[]), &options, &Backend::Cpu, None, &progress).unwrap();
         bytes.into_inner().unwrap()
     };
     // Before the second encoding, at one, between two, after the last update.
     for updates in [1, 3, 5, 7] {
         let at = Tuning::from_bytes(&bytes_after(updates)).unwrap();
         let gone_on =
-            resume(&scene, &references, &options, &Backend::Cpu, Some(at), &|_, _| Continue(())).unwrap();
+            resume(&scene, (&references, &[]), &options, &Backend::Cpu, Some(at), &|_, _| Continue(()))
+                .unwrap();
         assert_eq!(gone_on.record, whole.record, "after {updates}");
         assert!(gone_on.scene.epochs() == whole.scene.epochs() && gone_on.decisions == whole.decisions);
     }
@@ -191,8 +254,9 @@ fn a_fine_tuning_goes_on_bit_for_bit() {
     let bytes = bytes_after(3);
     let refused = |scene: &Scene, references: &[Reference], options: &DeliveryOptions| {
         let at = Tuning::from_bytes(&bytes).unwrap();
-        let error =
-            resume(scene, references, options, &Backend::Cpu, Some(at), &|_, _| panic!("nothing is trained"));
+        let error = resume(scene, (references, &[]), options, &Backend::Cpu, Some(at), &|_, _| {
+            panic!("nothing is trained")
+        });
         error.unwrap_err().to_string()
     };
     let (other, _) = study(3, 2);
@@ -223,7 +287,7 @@ fn another_device_fine_tunes_to_the_same_objective() {
     let (scene, references) = study(3, 2);
     let options = DeliveryOptions { updates: 4, warm_up: 0.0, ..options(Variant::Combined) };
     let tuned = |references: &[Reference], backend: &Backend, begun: Option<Tuning>| {
-        resume(&scene, references, &options, backend, begun, &|_, _| Continue(())).unwrap()
+        resume(&scene, (references, &[]), &options, backend, begun, &|_, _| Continue(())).unwrap()
     };
     let (cpu, other) = (tuned(&references, &Backend::Cpu, None), tuned(&references, &gpu, None));
     let (expected, found) = (&cpu.record, &other.record);
@@ -235,7 +299,7 @@ fn another_device_fine_tunes_to_the_same_objective() {
         assert!(off.iter().all(|db| db.abs() < TUNED_TOLERANCE_DB), "{found:?} {expected:?}");
     }
     assert_eq!((expected.device.as_str(), found.device.as_str()), ("cpu", gpu.name().as_str()));
-    assert!(found.registration == expected.registration && found.worlds == expected.worlds);
+    assert!(found.registration == expected.registration);
     // The comparison sees what is drawn over another background.
     let over_grey = |reference: &Reference| Reference { background: [0.1; 3], ..reference.clone() };
     let over_grey: Vec<Reference> = references.iter().map(over_grey).collect();
@@ -254,7 +318,7 @@ fn another_device_fine_tunes_to_the_same_objective() {
         *half.lock().unwrap() = at.to_bytes().unwrap();
         Break(())
     };
-    resume(&scene, &references, &options, &gpu, None, &until_second).unwrap();
+    resume(&scene, (&references, &[]), &options, &gpu, None, &until_second).unwrap();
     let half = half.into_inner().unwrap();
     let gone_on = |backend: &Backend| {
         let begun = Tuning::from_bytes(&half).unwrap();
