@@ -20,9 +20,9 @@ use std::{
 use anyhow::{Context, Result, bail};
 use tempfile::NamedTempFile;
 
-pub use self::frames::FrameFolder;
 use self::leftovers::Unfinished;
 pub(crate) use self::{
+    frames::{FrameFolder, FrameKind},
     leftovers::{Writer, remove_unfinished},
     log::LineLog,
     made_folder::MadeFolder,
@@ -52,12 +52,38 @@ pub fn check(path: &Path) -> Result<()> {
         Ok(found) if found.is_dir() => bail!("{}: is a folder; a file is needed", path.display()),
         // A device or a pipe is written to as it is.
         Ok(found) if !found.is_file() => return Ok(()),
+        // It would be replaced by another of its name: what a person has write-protected stays.
+        Ok(_) => drop(
+            fs::OpenOptions::new()
+                .write(true)
+                .open(path)
+                .with_context(|| format!("{}: cannot be written", path.display()))?,
+        ),
         _ if path.as_os_str().as_encoded_bytes().ends_with(b"/") => {
             bail!("{}: names a folder; a file is needed", path.display())
         }
         _ => {}
     }
     temporary(path).map(drop)
+}
+
+/// As [`check`], for JSON: a file that holds something else is not replaced by it.
+///
+/// # Errors
+/// As [`check`]; a file that begins like no JSON.
+pub(crate) fn check_json(path: &Path) -> Result<()> {
+    check(path)?;
+    let mut first = [b'{'];
+    let is_file = fs::metadata(path).is_ok_and(|found| found.is_file());
+    if is_file {
+        // An empty file holds nothing else.
+        let mut file = fs::File::open(path).with_context(|| path.display().to_string())?;
+        let _ = io::Read::read(&mut file, &mut first).with_context(|| path.display().to_string())?;
+    }
+    if !b"{[".contains(&first[0]) {
+        bail!("{}: is there, and no JSON, which is written here; name another file", path.display());
+    }
+    Ok(())
 }
 
 /// As [`check`], for a stream, which may go to standard output: its name ends in `.dgs`, and it is none of
@@ -321,11 +347,37 @@ mod tests {
     }
 
     fn frames(target: &Path, overwrite: bool, texts: &[&str]) -> Result<usize> {
-        let mut folder = FrameFolder::create(target, overwrite)?;
+        let mut folder = FrameFolder::create(target, FrameKind::Scene, overwrite)?;
         for (i, text) in texts.iter().enumerate() {
             folder.add(format!("f_{i}.ply"), text.as_bytes())?;
         }
         folder.finish(overwrite)
+    }
+
+    #[test]
+    fn frames_are_replaced_by_their_like_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("clip");
+        frames(&target, false, &["a"]).unwrap();
+        let error = FrameFolder::check(&target, FrameKind::Pictures, true).unwrap_err().to_string();
+        assert!(
+            error.contains("holds f_0.ply, a frame of a scene; --overwrite replaces its like"),
+            "{error}"
+        );
+        assert!(FrameFolder::create(&target, FrameKind::Pictures, true).is_err());
+        assert!(FrameFolder::check(&target, FrameKind::Scene, true).is_ok());
+    }
+
+    #[test]
+    fn json_replaces_json_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        assert!(check_json(&path).is_ok());
+        for (text, is_json) in [("", true), ("{\"a\": 1}", true), ("[]", true), ("ply\n", false)] {
+            fs::write(&path, text).unwrap();
+            assert_eq!(check_json(&path).is_ok(), is_json, "{text}");
+            assert_eq!(fs::read_to_string(&path).unwrap(), text, "asking changes nothing");
+        }
     }
 
     #[test]
@@ -404,7 +456,7 @@ mod tests {
     fn a_folder_of_frames_appears_whole() {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("new/frames");
-        let mut half = FrameFolder::create(&target, false).unwrap();
+        let mut half = FrameFolder::create(&target, FrameKind::Scene, false).unwrap();
         half.add("f_0.ply".into(), b"zero").unwrap();
         assert!(!target.exists(), "not before it is finished");
         drop(half);

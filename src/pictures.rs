@@ -12,7 +12,7 @@ use render_host::{
 
 pub use self::video::VideoCodec;
 use self::video::{Container, Video, VideoFormat};
-use crate::files::{self, FrameFolder, PendingFile};
+use crate::files::{self, FrameFolder, FrameKind, PendingFile};
 
 /// Quality of JPEG where none is chosen, 1 to 100.
 const JPEG_QUALITY: u8 = 92;
@@ -172,7 +172,7 @@ impl PictureOutput {
     /// A name that cannot be written, or a video that cannot be made here.
     pub fn check(self, path: &Path, overwrite: bool) -> Result<()> {
         match self {
-            Self::Folder => FrameFolder::check(path, overwrite),
+            Self::Folder => FrameFolder::check(path, FrameKind::Pictures, overwrite),
             Self::Still(_) if files::is_standard_output(path) => Ok(()),
             Self::Still(_) => files::check(path),
             Self::Animation(_) => PendingFile::begin(path).map(drop),
@@ -222,7 +222,9 @@ impl<'a> PictureWriter<'a> {
         output.check_rate(path, run.frames_per_second)?;
         let sink = match output {
             PictureOutput::Still(format) => Sink::Still(format),
-            PictureOutput::Folder => Sink::Folder(FrameFolder::create(path, run.overwrite)?),
+            PictureOutput::Folder => {
+                Sink::Folder(FrameFolder::create(path, FrameKind::Pictures, run.overwrite)?)
+            }
             moving => Sink::Unbegun(moving),
         };
         Ok(Self { path, run, sink })

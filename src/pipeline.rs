@@ -89,6 +89,11 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         let mut scene = synth::make(&options, &limits).with_context(|| format!("cannot make {input}"))?;
         scene.up = args.up.map_or(Up::default(), Into::into);
         scene.footprint = args.footprint.map_or(scene.footprint, Into::into);
+        let applies = ["--fps", "--seed", "--up", "--footprint", "--max-gaussians"];
+        let unused: Vec<&str> = args.given().into_iter().filter(|name| !applies.contains(name)).collect();
+        if !unused.is_empty() {
+            scene.notes.push(format!("the scene is made, not read; not used: {}", unused.join(", ")));
+        }
         return Ok(Loaded { name, scene, damage: None });
     }
     let clip = || match &args.clip {
@@ -376,7 +381,7 @@ pub fn settings(args: &ViewArgs) -> Settings {
 /// An image size the camera refuses.
 pub fn view(scene: &Scene, args: &ViewArgs, ring: Ring, count: usize) -> Result<(Vec<Camera>, Settings)> {
     let framing = Framing::of(scene);
-    let cameras = framing.ring(ring, count, args.size()).context("--width, --height")?;
+    let cameras = framing.ring(ring, count, args.size()).map_err(cameras::around_the_scene)?;
     Ok((cameras, settings(args)))
 }
 

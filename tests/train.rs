@@ -241,6 +241,7 @@ fn a_clip_that_becomes_another_is_trained_in_parts_and_goes_on_from_any() {
     let frames = &parts["epochs"]["frames"];
     assert_eq!(*frames, serde_json::json!([{"start": 0, "end": 6}, {"start": 6, "end": 12}]));
     assert_eq!(parts["steps"], 200, "steps are shared out");
+    assert_eq!(parts["options"]["max_gaussians"], 1500, "of the whole, not of its first part");
     for epoch in 0..2 {
         let log = fs::read_to_string(at.join(format!("parts/epoch-{epoch}/log.csv"))).unwrap();
         let gaussians =

@@ -14,7 +14,7 @@ pub struct Cut {
     /// The .dgs file to write; - is standard output.
     pub out: PathBuf,
     /// Keep levels up to this, 0 to 3; a packet that brings a lower one too stays.
-    #[arg(long, value_name = "LEVEL", value_parser = whole::<u8>(0..=3, "levels"))]
+    #[arg(long, visible_alias = "level", value_name = "LEVEL", value_parser = whole::<u8>(0..=3, "levels"))]
     pub levels: Option<u8>,
     /// Keep these frames as a shorter clip that begins at 0: FIRST..LAST with LAST included, FIRST.., or one.
     /// Windows of motion stay whole, so that the clip begins with the one that FIRST is in and ends with that

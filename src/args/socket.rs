@@ -17,6 +17,12 @@ use super::{
 };
 use crate::pictures::VideoCodec;
 
+/// An IP address and a port.
+fn address(text: &str) -> Result<SocketAddr, String> {
+    text.parse()
+        .map_err(|_| "an IP address and a port, such as 127.0.0.1:4640 or [::1]:4640, is allowed".to_owned())
+}
+
 /// Where it listens when nothing is said: here alone.
 fn here() -> SocketAddr {
     ([127, 0, 0, 1], DEFAULT_PORT).into()
@@ -25,8 +31,9 @@ fn here() -> SocketAddr {
 /// `dgs serve`.
 #[derive(Debug, Args)]
 pub struct Serve {
-    /// .dgs files or scenes (which are encoded first), each called by its file name without extension; `-` is
-    /// a stream from standard input, called `live`, served while it is written.
+    /// .dgs files or scenes (which are encoded first), each called by its file name without extension (other
+    /// characters than a to z, A to Z, digits, `.`, `_` and `-` become `-`); `-` is a stream from standard
+    /// input, called `live`, served while it is written.
     #[arg(required = true, value_name = "STREAM|SCENE|-", value_parser = name())]
     pub inputs: Vec<String>,
     /// Publish at a relay of Media over QUIC instead, for all who play the same address, again and again, and
@@ -47,10 +54,11 @@ pub struct Serve {
     #[arg(long, value_name = "FILE", requires = "moq")]
     pub ca: Option<PathBuf>,
     /// Address and UDP port to listen on; port 0 takes a free one.
-    #[arg(long, value_name = "ADDRESS:PORT", default_value_t = here())]
+    #[arg(long, value_name = "ADDRESS:PORT", default_value_t = here(), value_parser = address)]
     pub listen: SocketAddr,
-    /// Address and TCP port of the page over HTTP, with the streams as files [default: that of --listen].
-    #[arg(long, value_name = "ADDRESS:PORT", conflicts_with = "no_http")]
+    /// Address and TCP port of the page over HTTP, with the streams as files, /streams/NAME.dgs [default:
+    /// that of --listen].
+    #[arg(long, value_name = "ADDRESS:PORT", conflicts_with = "no_http", value_parser = address)]
     pub http: Option<SocketAddr>,
     /// Serve no page.
     #[arg(long)]

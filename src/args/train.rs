@@ -15,6 +15,8 @@ use super::{
 pub(crate) const ENCODING_LOSS: f64 = 0.1;
 /// Times that quality is measured after the first step where nothing is said.
 pub(crate) const EVALUATIONS: u32 = 10;
+/// Pictures that fine-tuning compares with, where nothing is typed.
+pub(crate) const REFERENCES: usize = 64;
 /// What a new epoch must gain where nothing is said, dB.
 pub(crate) const SPLIT: f64 = 0.5;
 
@@ -139,10 +141,10 @@ pub struct Train {
     /// it beside the stream (scene.utility.json); the test photographs are a check on it.
     #[arg(long)]
     pub utility: bool,
-    /// Pictures that fine-tuning compares with, at most. Candidates are compared on a fifth as many validation
-    /// photographs, or, where a dataset has none, on one in five of these pictures, which no update is made on
-    /// (validation.every in the file of --delivery).
-    #[arg(long, default_value_t = 64, requires = "delivery", value_parser = whole::<usize>(5..=10_000, "pictures"))]
+    /// With --delivery: pictures that fine-tuning compares with, at most. Candidates are compared on a fifth
+    /// as many validation photographs, or, where a dataset has none, on one in five of these pictures, which
+    /// no update is made on (validation.every in the file of --delivery).
+    #[arg(long, default_value_t = REFERENCES, value_parser = whole::<usize>(5..=10_000, "pictures"))]
     pub references: usize,
     /// Frames of the encoded scene [default: as many as the training photographs have instants; of
     /// transforms.json, as many as all that it lists have].

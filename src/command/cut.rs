@@ -166,6 +166,8 @@ fn beside_output(out: &Path, bytes: &[u8], warnings: &mut Vec<String>) -> Option
     let target = utility_path(out);
     match std::fs::read(&target) {
         Ok(there) if there == bytes => None,
+        // Those of the stream that is replaced go with it.
+        Ok(_) if is_of_the_stream_at(out, &target) => Some(target),
         Ok(_) => {
             let name = target.display();
             warnings.push(format!("{name}: utilities of something else are there, and stay"));
@@ -173,6 +175,11 @@ fn beside_output(out: &Path, bytes: &[u8], warnings: &mut Vec<String>) -> Option
         }
         Err(_) => Some(target),
     }
+}
+
+/// Whether the utilities in the file `utilities` are those of the stream that is in file `out` now.
+fn is_of_the_stream_at(out: &Path, utilities: &Path) -> bool {
+    pipeline::read_stream(out, &mut |_| ()).is_ok_and(|stream| stored_utilities(utilities, &stream).is_ok())
 }
 
 /// Writes the file of `args`; gives its length.

@@ -105,8 +105,8 @@ fn check_outputs(args: &Encode) -> Result<()> {
         bail!("--truncate: profile paper sends every level; profile dgs1 is allowed");
     }
     if let Some(path) = &args.decisions_out {
-        files::check(path)?;
         files::check_apart(path, &others)?;
+        files::check_json(path)?;
     }
     Ok(())
 }
@@ -339,7 +339,7 @@ fn segment_table(segments: &[Segment]) -> String {
         "  epoch window  frames          level  canonical     motion  cumulative   PSNR\n".to_owned();
     for s in segments {
         let window = s.window.map_or("-".to_owned(), |w| w.to_string());
-        let frames = format!("{}..{}", s.first_frame, s.first_frame + s.frames);
+        let frames = format!("{}..{}", s.first_frame, (s.first_frame + s.frames).saturating_sub(1));
         for (level, p) in s.levels.iter().enumerate() {
             text += &format!(
                 "  {:>5} {window:>6}  {frames:<15} {level:>5} {:>10} {:>10}  {:>10}  {:>5.2}\n",

@@ -39,6 +39,7 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
     }
     if let Some(out) = &args.manifest {
         files::check_apart(out, &[&args.input])?;
+        files::check_json(out)?;
     }
     let mut warnings = Vec::new();
     let bytes = pipeline::input_bytes(&args.input)?;

@@ -128,7 +128,7 @@ pub fn run(args: &Play, quiet: Quiet) -> Result<VerbOutput> {
         duration: args.duration.map(duration),
         ..ClientConfig::new(args.url.clone(), trust)
     };
-    let log = args.log.as_deref().map(LineLog::open).transpose()?;
+    let log = args.log.as_deref().map(|path| LineLog::open(path, "round")).transpose()?;
     let draws = args.out.is_some() || reference.is_some();
     let (shown, whole) = (Shown::default(), reference.as_ref());
     let mut states = States { args, draws, shown, watching: None, next: 0, reference: whole, log };

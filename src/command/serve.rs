@@ -84,7 +84,7 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
         None => Identity::self_signed(&[host.clone(), "localhost".to_owned()])
             .with_context(|| format!("--host is {host}"))?,
     };
-    let log = args.log.as_deref().map(LineLog::open).transpose()?;
+    let log = args.log.as_deref().map(|path| LineLog::open(path, "address")).transpose()?;
     // Encoding may take minutes: what it would be in vain for is refused before.
     check_names(&args.inputs)?;
     let ports = Ports::open(args, || Ok(Server::open(args.listen)?))?;

@@ -24,9 +24,9 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         files::check_stream(out, &[args.input.as_ref()])?;
     }
     if let Some(states) = &args.states {
-        files::check(states).context("--states")?;
         let others: Vec<&Path> = std::iter::once(Path::new(&args.input)).chain(args.out.as_deref()).collect();
         files::check_apart(states, &others).context("--states")?;
+        files::check_json(states).context("--states")?;
     }
     if args.no_pose && !args.cameras.is_given() {
         bail!("--no-pose is for a viewer; --eye, --turntable or --cameras gives one");

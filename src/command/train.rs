@@ -36,7 +36,7 @@ use self::{
     training::{GLANCE_VIEWS, begin, check_length, fit, options, resumed},
 };
 use crate::{
-    args::train::Train,
+    args::train::{REFERENCES, Train},
     figures::Machine,
     files,
     output::VerbOutput,
@@ -67,6 +67,9 @@ pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     let loading = Progress::new("read the dataset", quiet.0);
     let mut input = Input::load(args, max_side, resumed.as_ref())?;
     drop(loading);
+    if args.delivery.is_none() && args.references != REFERENCES {
+        input.notes.push("not used, being for --delivery: --references".to_owned());
+    }
     let unused = args.codec.unused();
     if !unused.is_empty() {
         input.notes.push(format!("not used, being for --profile dgs1: {}", unused.join(", ")));

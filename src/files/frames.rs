@@ -26,9 +26,33 @@ pub(super) fn check_can_make(target: &Path) -> Result<()> {
     Ok(())
 }
 
+/// What the frames of a folder are: with `--overwrite` they are replaced by their like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum FrameKind {
+    /// Files of Gaussians, `.ply`.
+    Scene,
+    /// Pictures.
+    Pictures,
+}
+
+impl FrameKind {
+    fn of(name: &str) -> Self {
+        let is_ply = Path::new(name).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("ply"));
+        if is_ply { Self::Scene } else { Self::Pictures }
+    }
+
+    /// For people.
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Scene => "a frame of a scene",
+            Self::Pictures => "a picture",
+        }
+    }
+}
+
 /// A folder of frames on its way: under a temporary name beside its own until [`FrameFolder::finish`].
 #[derive(Debug)]
-pub struct FrameFolder {
+pub(crate) struct FrameFolder {
     target: PathBuf,
     /// Removed if it is never finished.
     temporary: TempDir,
@@ -36,6 +60,7 @@ pub struct FrameFolder {
     /// Says that somebody is at work on it.
     _hold: Option<fs::File>,
     index: SequenceIndex,
+    kind: FrameKind,
 }
 
 impl FrameFolder {
@@ -44,18 +69,18 @@ impl FrameFolder {
     ///
     /// # Errors
     /// As [`FrameFolder::create`].
-    pub fn check(target: &Path, overwrite: bool) -> Result<()> {
-        check_unused(target, overwrite)?;
+    pub(crate) fn check(target: &Path, kind: FrameKind, overwrite: bool) -> Result<()> {
+        check_unused(target, kind, overwrite)?;
         check_can_make(target)
     }
 
     /// Begins a folder that will be `target`. A `target` that holds anything is refused; with `overwrite`
-    /// one that holds the frames of its `sequence.json` and nothing else will be replaced.
+    /// one that holds the frames of its `sequence.json`, of this `kind`, and nothing else will be replaced.
     ///
     /// # Errors
     /// A `target` that is in use, or cannot be made.
-    pub fn create(target: &Path, overwrite: bool) -> Result<Self> {
-        check_unused(target, overwrite)?;
+    pub(crate) fn create(target: &Path, kind: FrameKind, overwrite: bool) -> Result<Self> {
+        check_unused(target, kind, overwrite)?;
         let folder = folder_of(target);
         fs::create_dir_all(folder)
             .with_context(|| format!("{}: cannot make this folder", folder.display()))?;
@@ -70,7 +95,7 @@ impl FrameFolder {
             made.with_context(|| format!("{}: cannot write in this folder", folder.display()))?;
         let hold = leftovers::hold_folder(temporary.path());
         let index = SequenceIndex::default();
-        let frames = Self { target: target.to_owned(), temporary, _unfinished, _hold: hold, index };
+        let frames = Self { target: target.to_owned(), temporary, _unfinished, _hold: hold, index, kind };
         // Until all frames are there, the index says that some are missing.
         frames.write_index()?;
         Ok(frames)
@@ -80,7 +105,7 @@ impl FrameFolder {
     ///
     /// # Errors
     /// A name that is taken; what the system says, with the path.
-    pub fn add(&mut self, name: String, bytes: &[u8]) -> Result<()> {
+    pub(crate) fn add(&mut self, name: String, bytes: &[u8]) -> Result<()> {
         if self.temporary.path().join(&name).exists() {
             bail!(
                 "{}: holds a file called {name} already; each needs a name of its own",
@@ -107,13 +132,13 @@ impl FrameFolder {
     ///
     /// # Errors
     /// What the system says, with the path; what was there before then stays.
-    pub fn finish(mut self, overwrite: bool) -> Result<usize> {
+    pub(crate) fn finish(mut self, overwrite: bool) -> Result<usize> {
         let failed = || format!("{}: cannot write", self.target.display());
         self.index.frames = self.index.files.len();
         self.index.complete = true;
         self.write_index()?;
         sync_folder(self.temporary.path()).with_context(failed)?;
-        check_unused(&self.target, overwrite)?;
+        check_unused(&self.target, self.kind, overwrite)?;
         let folder = folder_of(&self.target);
         // Between its old frames and its new ones the folder would have none.
         let _uninterrupted = leftovers::uninterrupted();
@@ -169,7 +194,7 @@ fn put_back(aside: Option<TempDir>, target: &Path) -> Result<()> {
 }
 
 /// Refuses a folder that holds anything, unless it is to be overwritten and holds only its frames.
-fn check_unused(folder: &Path, overwrite: bool) -> Result<()> {
+fn check_unused(folder: &Path, kind: FrameKind, overwrite: bool) -> Result<()> {
     if folder == Path::new("-") {
         bail!("-: standard output is no folder; name one (./- is one)");
     }
@@ -195,6 +220,13 @@ fn check_unused(folder: &Path, overwrite: bool) -> Result<()> {
     }
     let index = fs::read(folder.join(SEQUENCE_INDEX)).unwrap_or_default();
     let index: SequenceIndex = serde_json::from_slice(&index).unwrap_or_default();
+    if let Some(other) = index.files.iter().find(|name| FrameKind::of(name) != kind) {
+        bail!(
+            "{}: holds {other}, {}; --overwrite replaces its like alone: name another folder",
+            folder.display(),
+            FrameKind::of(other).name()
+        );
+    }
     match names.iter().find(|name| *name != SEQUENCE_INDEX && !index.files.contains(name)) {
         None => Ok(()),
         Some(other) => bail!(

@@ -2,7 +2,7 @@
 
 use std::{
     fs::File,
-    io::{Read, Seek, SeekFrom, Write},
+    io::{BufRead, BufReader, Read, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
 };
 
@@ -10,6 +10,9 @@ use anyhow::{Context, Result, bail};
 use serde::Serialize;
 
 use crate::output;
+
+/// Bytes of the first line that are looked at.
+const LONGEST_ROW: u64 = 1024;
 
 /// A file of JSON lines: each is there as soon as it is added, whatever becomes of this process.
 #[derive(Debug)]
@@ -23,15 +26,18 @@ impl LineLog {
     /// The log at `path`, after the lines that are there already.
     ///
     /// # Errors
-    /// A folder, a file that holds something else than such lines, or what the system says.
-    pub(crate) fn open(path: &Path) -> Result<Self> {
+    /// A folder, a file that holds something else than lines with the value `key`, or what the system says.
+    pub(crate) fn open(path: &Path, key: &str) -> Result<Self> {
         let shown = path.display();
         if path.is_dir() {
             bail!("--log {shown}: is a folder; a file is needed");
         }
         let ends = ends(path).with_context(|| format!("--log {shown}: cannot read"))?;
-        if ends.is_some_and(|[first, _]| first != b'{') {
-            bail!("--log {shown}: holds something else than lines of JSON; another file is needed");
+        if ends.is_some() && !begins_with_row(path, key)? {
+            bail!(
+                "--log {shown}: holds something else than lines of JSON with a value {key:?}; another file \
+                 is needed"
+            );
         }
         let file = File::options().append(true).create(true).open(path);
         let mut file = file.with_context(|| format!("--log {shown}: cannot write"))?;
@@ -55,6 +61,16 @@ impl LineLog {
             self.file = None;
         }
     }
+}
+
+/// Whether the first line of the file at `path` is one that a log has, or the beginning of one, which a full
+/// disk has cut.
+fn begins_with_row(path: &Path, key: &str) -> Result<bool> {
+    let mut line = Vec::new();
+    let file = File::open(path).with_context(|| format!("--log {}: cannot read", path.display()))?;
+    BufReader::new(file.take(LONGEST_ROW)).read_until(b'\n', &mut line)?;
+    let start = format!("{{\"{key}\":");
+    Ok(line.starts_with(start.as_bytes()) || start.as_bytes().starts_with(&line))
 }
 
 /// The first and the last byte of the file at `path`; `None` where there is no file, or nothing in it.
@@ -81,19 +97,19 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("session.jsonl");
         let text = || std::fs::read_to_string(&path).unwrap();
-        let mut log = LineLog::open(&path).unwrap();
+        let mut log = LineLog::open(&path, "row").unwrap();
         let row = |value: &str| serde_json::json!({ "row": value });
         log.add(&row("1"));
         assert_eq!(text(), "{\"row\":\"1\"}\n");
         log.add(&row("a\nb"));
-        LineLog::open(&path).unwrap().add(&row("3"));
+        LineLog::open(&path, "row").unwrap().add(&row("3"));
         assert_eq!(text(), "{\"row\":\"1\"}\n{\"row\":\"a\\nb\"}\n{\"row\":\"3\"}\n");
         std::fs::write(&path, "{\"row\":").unwrap();
-        LineLog::open(&path).unwrap().add(&row("4"));
+        LineLog::open(&path, "row").unwrap().add(&row("4"));
         assert_eq!(text(), "{\"row\":\n{\"row\":\"4\"}\n", "what was cut keeps to itself");
-        let error = LineLog::open(folder.path()).unwrap_err().to_string();
+        let error = LineLog::open(folder.path(), "row").unwrap_err().to_string();
         assert!(error.ends_with("is a folder; a file is needed"), "{error}");
-        let error = format!("{:#}", LineLog::open(&folder.path().join("none/x")).unwrap_err());
+        let error = format!("{:#}", LineLog::open(&folder.path().join("none/x"), "row").unwrap_err());
         assert!(error.contains("--log ") && error.contains("none/x"), "{error}");
     }
 
@@ -102,15 +118,22 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.dgs");
         std::fs::write(&path, b"DGSM\x01").unwrap();
-        let error = LineLog::open(&path).unwrap_err().to_string();
+        let error = LineLog::open(&path, "row").unwrap_err().to_string();
         assert!(error.contains("a.dgs: holds something else than lines of JSON"), "{error}");
         assert_eq!(std::fs::read(&path).unwrap(), b"DGSM\x01");
+        // Other JSON is no log either, on one line or on many.
+        for other in ["{\n  \"asset\": {}\n}\n", "{\"measured\":{},\"row\":1}"] {
+            std::fs::write(&path, other).unwrap();
+            assert!(LineLog::open(&path, "row").is_err(), "{other}");
+        }
+        std::fs::write(&path, "").unwrap();
+        assert!(LineLog::open(&path, "row").is_ok());
     }
 
     #[cfg(target_os = "linux")]
     #[test]
     fn a_full_disk_ends_the_log_and_nothing_else() {
-        let mut log = LineLog::open(Path::new("/dev/full")).unwrap();
+        let mut log = LineLog::open(Path::new("/dev/full"), "row").unwrap();
         log.add(&1);
         assert!(log.file.is_none());
         log.add(&2);

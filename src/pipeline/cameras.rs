@@ -102,6 +102,16 @@ pub struct Surroundings<'a> {
     pub up: Up,
 }
 
+/// Why cameras around a scene cannot be placed, by what a person can change: their size, or else that others
+/// are named.
+pub(super) fn around_the_scene(error: CameraError) -> anyhow::Error {
+    let context = match error {
+        CameraError::Range { field: "width" | "height", .. } => "--width, --height",
+        _ => "cameras around the scene, where a Gaussian may be far away (--eye or --cameras names others)",
+    };
+    anyhow::Error::from(error).context(context)
+}
+
 /// The cameras that `typed` asks for, at the size that `view` asks for.
 ///
 /// # Errors
@@ -125,7 +135,7 @@ pub fn viewpoints(typed: &CameraArgs, view: &ViewArgs, around: &mut Surroundings
             }
             None => {
                 let (ring, count) = around.ring;
-                let cameras = (around.framing)()?.ring(ring, count, size).context("--width, --height")?;
+                let cameras = (around.framing)()?.ring(ring, count, size).map_err(around_the_scene)?;
                 let cameras_around = counted(count, "camera");
                 let description = format!("{cameras_around} around the scene, up {}", around.up);
                 Viewpoints { views: unnamed(cameras), description, showing: Showing::Clip }
@@ -239,6 +249,8 @@ pub fn read_cameras(path: &Path, size: Option<(u32, u32)>) -> Result<Vec<View>> 
     } else if name.ends_with(".bin") || name.ends_with(".txt") {
         let format = if name.ends_with(".bin") { Format::Binary } else { Format::Text };
         read_colmap(path.parent().unwrap_or(Path::new("")), format)?
+    } else if !path.exists() {
+        bail!("{}: no such file or folder", path.display());
     } else {
         bail!(
             "{}: not a file of cameras; transforms_*.json, *_meta.json (Panoptic), or cameras and images as \

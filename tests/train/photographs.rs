@@ -78,6 +78,37 @@ fn write_ring(folder: &Path) {
     fs::write(folder.join("transforms_train.json"), text).unwrap();
 }
 
+/// What is up was typed once; what photographs have no use for is named.
+#[test]
+fn what_is_up_stays_and_what_is_not_used_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    write_ring(&at.join("set"));
+    let train = |more: &[&str]| -> String {
+        let args = ["train", "set", "-o", "out", "--steps", "20", "--nodes", "0", "--gaussians", "200"];
+        let output = dgs(at, &[&args[..], &["--pictures", "0", "--evaluations", "0"], more].concat());
+        let heard = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{heard}");
+        heard
+    };
+    let up = || -> String {
+        let output = dgs(at, &["inspect", "out/scene.dgs"]);
+        let text = String::from_utf8(output.stdout).unwrap();
+        text.lines().next().and_then(|line| line.rsplit(", ").next()).unwrap().to_owned()
+    };
+    let heard = train(&["--up", "x", "--max-gaussians", "9000", "--split", "2"]);
+    assert!(heard.contains("not used, being for scenes: --max-gaussians, --split"), "{heard}");
+    assert_eq!(up(), "x up");
+    train(&["--resume"]);
+    assert_eq!(up(), "x up");
+    train(&["--resume", "--up", "y"]);
+    assert_eq!(up(), "y up");
+    let heard = train(&["--overwrite", "--profile", "paper", "--packet-bytes", "400"]);
+    let is_named = heard.contains("not used, being for --profile dgs1: ") && heard.contains("--packet-bytes");
+    assert!(is_named, "{heard}");
+    assert_eq!(up(), "z up", "as usual in its format");
+}
+
 /// Memory, a tail of less than one world, and the device that trains and fine-tunes are said.
 #[test]
 fn what_a_training_takes_and_what_its_objective_is_of_are_said() {

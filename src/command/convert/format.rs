@@ -15,7 +15,7 @@ use trainer_host::{
 
 use crate::{
     figures::counted,
-    files::{self, FrameFolder},
+    files::{self, FrameFolder, FrameKind},
     progress::Progress,
 };
 
@@ -105,7 +105,7 @@ impl SceneOutput {
     pub(in crate::command) fn check(self, path: &Path, overwrite: bool, inputs: &[&Path]) -> Result<()> {
         match self {
             Self::File(_) | Self::FourDgs => files::check(path)?,
-            Self::Folder => FrameFolder::check(path, overwrite)?,
+            Self::Folder => FrameFolder::check(path, FrameKind::Scene, overwrite)?,
         }
         files::check_apart(path, inputs)?;
         let Some(buffer) = self.buffer_path(path) else { return Ok(()) };
@@ -165,7 +165,7 @@ impl SceneOutput {
             Self::File(format) => format,
             Self::FourDgs => bail!("{}: .4dgs is written by dgs convert", out.display()),
             Self::Folder => {
-                let mut folder = FrameFolder::create(out, overwrite)?;
+                let mut folder = FrameFolder::create(out, FrameKind::Scene, overwrite)?;
                 let mut identity_stored = true;
                 for number in 0..count {
                     progress.step("writing frame", number as usize, count as usize);

@@ -83,7 +83,8 @@ impl FfmpegVideo {
         let log = tempfile::tempfile().context("ffmpeg: cannot keep what it says")?;
         let mut command = Command::new("ffmpeg");
         command
-            .args(["-hide_banner", "-loglevel", "error", "-y"])
+            // Without -xerror it ends well where the disk is full when it writes where frames lie.
+            .args(["-hide_banner", "-loglevel", "error", "-xerror", "-y"])
             .args(["-f", "rawvideo", "-pix_fmt", "rgb24"])
             .args(["-video_size", &format!("{}x{}", size.0, size.1)])
             .args(["-framerate", &frames_per_second.to_string(), "-i", "-"])
@@ -136,8 +137,9 @@ impl FfmpegVideo {
         let mut text = String::new();
         // What cannot be read is not said.
         let _ = self.log.rewind().and_then(|()| self.log.read_to_string(&mut text));
-        let last = text.lines().map(str::trim).rfind(|line| !line.is_empty());
-        last.unwrap_or("it says nothing").to_owned()
+        // What went wrong first is why what follows did.
+        let first = text.lines().map(str::trim).find(|line| !line.is_empty());
+        first.unwrap_or("it says nothing").to_owned()
     }
 }
 

@@ -71,8 +71,8 @@ pub(super) fn missed(options: &DeliveryOptions, gaussians: usize, bytes: u64) ->
     };
     (bytes > most).then(|| {
         format!(
-            "{name}: allows {most} bytes, and fine-tuned for delivery the scene takes {bytes}: steps that are \
-             learnt (learn_steps) and candidates (validation.candidates) keep to it"
+            "{name}: allows {most} bytes, and fine-tuned for delivery the scene takes {bytes}: steps that \
+             are learnt (learn_steps) and candidates (validation.candidates) keep to it"
         )
     })
 }

@@ -74,8 +74,8 @@ pub(super) fn check(args: &Train, dataset: &Dataset, options: &DeliveryOptions) 
     }
     Ok((shown < all.len()).then(|| {
         format!(
-            "--delivery: compares with {shown} of {} training photographs, as the others are from between two \
-             of the {frames} frames",
+            "--delivery: compares with {shown} of {} training photographs, as the others are from between \
+             two of the {frames} frames",
             all.len()
         )
     }))

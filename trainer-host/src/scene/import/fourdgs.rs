@@ -28,9 +28,11 @@ const FORMAT: Format = Format::FourDgs;
 pub(super) const START: [u8; 8] = MAGIC;
 /// The motion that is read.
 const MODEL: &str = "gaussian-birth";
-/// Share of a frame by which the instant at which windows are looked at is later than the frame: they are
-/// stored in fewer digits than frames have.
+/// Share of a frame by which the instant at which windows are looked at is later than the frame, at most
+/// [`LATEST`]: they are stored in fewer digits than frames have.
 const LATER: f64 = 0.01;
+/// The same in seconds: where frames are far apart, a share of that is past the end of a window.
+const LATEST: f64 = 1e-3;
 /// Bytes that a Gaussian takes in one frame: its centre and its opacity.
 const FRAME_BYTES: u64 = 12 + 4;
 /// Most frames: ten hours at thirty a second.
@@ -63,9 +65,16 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
     }
     let clip = Clip { decoded: &decoded, frames_per_second };
     let epochs = clip.epochs(frames as usize, limits)?;
+    let is_parted = epochs.len() > 1;
     let mut scene = Scene::new(epochs, frames_per_second).map_err(|e| scene_error(FORMAT, &e))?;
     scene.default_up = up(&decoded);
     scene.notes.push(format!("{} s sampled at {frames_per_second} frames per second", decoded.duration_sec));
+    if is_parted {
+        scene.notes.push(
+            "identity is not stored from one window of visibility to the next: each is an epoch of its own"
+                .to_owned(),
+        );
+    }
     if decoded.truncated {
         scene.notes.push("the file is cut off: what came before is kept".to_owned());
     }
@@ -117,10 +126,15 @@ impl Clip<'_> {
         frame as f64 / self.frames_per_second
     }
 
+    /// The instant at which windows are looked at for `frame`, seconds.
+    fn looked_at(&self, frame: usize) -> f64 {
+        self.time(frame) + (LATER / self.frames_per_second).min(LATEST)
+    }
+
     /// Whether Gaussian `i` exists at `frame`.
     fn is_open(&self, i: usize, frame: usize) -> bool {
         let set = &self.decoded.gaussians;
-        let at = self.time(frame) + LATER / self.frames_per_second;
+        let at = self.looked_at(frame);
         f64::from(set.win_lo[i]) <= at && at < f64::from(set.win_hi[i])
     }
 
@@ -138,7 +152,7 @@ impl Clip<'_> {
         let (mut low, mut high) = (0, frames);
         while low < high {
             let middle = low + (high - low) / 2;
-            let is_before = self.time(middle) + LATER / self.frames_per_second < instant;
+            let is_before = self.looked_at(middle) < instant;
             (low, high) = if is_before { (middle + 1, high) } else { (low, middle) };
         }
         low
@@ -281,6 +295,15 @@ pub(super) mod tests {
         let still = last.gaussians.iter().position(|g| g.position[1] > 0.9).unwrap();
         // Component-major in the file, channel by channel here: green's first coefficient is its fourth.
         near(last.sh_rest[9 * still + 1], sh_coefficient(103) as f32, 0.05);
+        assert!(
+            scene.notes.iter().any(|note| note.starts_with("identity is not stored")),
+            "{:?}",
+            scene.notes
+        );
+        // Where frames are further apart than windows are long, the first is that of the first instant still.
+        let slow = parse(&bytes, 0.004, &Limits::default()).unwrap().instant(0).unwrap();
+        assert_eq!(slow.gaussians.len(), 1);
+        near(slow.gaussians[0].opacity, 0.5 * (-2.0f32).exp(), 0.01);
     }
 
     #[test]

@@ -186,8 +186,8 @@ impl Steps {
         places.map(change).collect()
     }
 
-    /// As [`Steps::changes`], towards the level at which all steps together save `wanted` bytes, or as near as
-    /// the bounds allow: what they save grows with the level.
+    /// As [`Steps::changes`], towards the level at which all steps together save `wanted` bytes, or as near
+    /// as the bounds allow: what they save grows with the level.
     fn changes_to(&self, ratios: &[f64], wanted: f64) -> Vec<f64> {
         let saved = |changes: &[f64]| -> f64 {
             let places = self.factors.as_flattened().iter().zip(changes).zip(self.savings.as_flattened());
@@ -201,8 +201,8 @@ impl Steps {
         self.changes(ratios, 0.5 * (low + high))
     }
 
-    /// Lengthens all steps alike so that they save `bytes` more, as far as savings add up and the bounds allow,
-    /// and keeps to that. False where steps do not keep to a size, or save nothing.
+    /// Lengthens all steps alike so that they save `bytes` more, as far as savings add up and the bounds
+    /// allow, and keeps to that. False where steps do not keep to a size, or save nothing.
     pub(super) fn save(&mut self, bytes: f64) -> bool {
         let all: f64 = self.savings.as_flattened().iter().sum();
         let Some(RateControl::Size { saved }) = &mut self.control else { return false };

@@ -15,8 +15,8 @@ use super::trajectory::{self, Trajectory};
 const MOST: usize = 64;
 /// A quantiser step of what is left, extents: what is smaller costs next to nothing.
 const STEP: f64 = 4e-4;
-/// Share of the mean variance by which a flat or thin neighbourhood is held to the mean turn of its Gaussians,
-/// as the encoder's fit of a pose is.
+/// Share of the mean variance by which a flat or thin neighbourhood is held to the mean turn of its
+/// Gaussians, as the encoder's fit of a pose is.
 const RIDGE: f64 = 1e-3;
 
 /// Where a Gaussian is and how it is turned: scene units, and a quaternion wxyz of any length.
@@ -58,8 +58,9 @@ impl Neighbourhoods {
             || self.0.len() == points && self.0.iter().flatten().all(|&number| (number as usize) < MOST)
     }
 
-    /// Gives `each` the index of every Gaussian that moves, what the affine map of its neighbourhood, of least
-    /// squares, leaves of where it is (`moved` less the map of `rest`, scene units), and that map's matrix.
+    /// Gives `each` the index of every Gaussian that moves, what the affine map of its neighbourhood, of
+    /// least squares, leaves of where it is (`moved` less the map of `rest`, scene units), and that map's
+    /// matrix.
     pub(crate) fn each_residual(
         &self,
         rest: impl Fn(usize) -> Placed,
@@ -190,8 +191,8 @@ mod tests {
         };
         let left = most(turned_residuals(&found, &points, &turned, turn));
         assert!(left < 1e-6, "{left}");
-        let held = most(residuals(&found, &points, &turned));
-        assert!(held > STEP, "held to no turn it leaves {held}");
+        let unturned = most(residuals(&found, &points, &turned));
+        assert!(unturned > STEP, "towards no turn it leaves {unturned}");
     }
 
     fn moved(points: &[[f32; 3]], by: impl Fn([f32; 3]) -> [f32; 3]) -> Vec<[f32; 3]> {

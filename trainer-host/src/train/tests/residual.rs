@@ -17,8 +17,9 @@ fn residual(trainer: &Trainer) -> f64 {
     let at = |time: f32| {
         model.instant_into(time, &mut instant);
         let (mut sum, mut count) = (0.0, 0.0f64);
-        let moved = |index: usize| instant.gaussians[index].position;
-        neighbourhoods.each_residual(model.gaussians.positions(), moved, |_, residual, _| {
+        let moved = |index: usize| (instant.gaussians[index].position, instant.gaussians[index].rotation);
+        let rest = |index: usize| (model.gaussians.positions()[index], model.gaussians.rotations()[index]);
+        neighbourhoods.each_residual(rest, moved, |_, residual, _| {
             sum += residual.length();
             count += 1.0;
         });
