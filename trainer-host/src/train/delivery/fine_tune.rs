@@ -26,10 +26,7 @@ use super::{
     tuning::{Origin, Tuning},
     view::{Reference, View, views},
 };
-use crate::{
-    encode::{Decisions, EncodeError},
-    scene::Scene,
-};
+use crate::{encode::Decisions, scene::Scene};
 
 /// What a caller hears after each update.
 #[derive(Clone, Copy, Debug)]
@@ -65,8 +62,8 @@ pub struct FineTuned {
 /// validation the scene of that update.
 ///
 /// Every `validation.every`-th reference, and states from seeds of their own, are for validation alone. Where
-/// a block outgrows its packet or the objective is no number, the best of the candidates so far is taken, and
-/// the record says why.
+/// an update or an encoding fails, as where a block outgrows its packet or the objective is no number, the
+/// best of the candidates so far is taken, and the record says why.
 ///
 /// Pictures of states and their gradients are made by `backend`; validation runs on the processor with any,
 /// so that candidates are compared by one rule. A backend gives the same result bit for bit each time. That
@@ -75,8 +72,8 @@ pub struct FineTuned {
 ///
 /// # Errors
 /// An option out of range, references that do not fit the scene or are too few, a file of states that does
-/// not fit, a registration that cannot be written; without candidates, an objective that is not finite; what
-/// encoder and renderer refuse, or no memory on the graphics device.
+/// not fit, a registration that cannot be written; before the first candidate, an objective that is not
+/// finite, what encoder and renderer refuse, or no memory on the graphics device.
 pub fn fine_tune(
     scene: &Scene,
     references: &[Reference],
@@ -151,7 +148,7 @@ pub fn resume(
             coded = match coding.coded(&mut at.steps, &at.parameters) {
                 Ok(coded) => coded,
                 // What was validated before is not lost.
-                Err(error @ DeliveryError::Encode(EncodeError::BlockTooLarge { .. })) if at.has_best() => {
+                Err(error) if at.has_best() => {
                     stopped = Some(error.to_string());
                     break;
                 }
@@ -176,15 +173,14 @@ pub fn resume(
             break;
         }
         let now = (&at.parameters, &rate_model);
-        let (terms, gradient, heard) = run.step(update, &coded, now, &mut drawing, &settings)?;
-        if !heard.objective.is_finite() {
-            let error = DeliveryError::Diverged { update, found: heard.objective };
-            if at.has_best() {
+        let (terms, gradient, heard) = match run.step(update, &coded, now, &mut drawing, &settings) {
+            Ok(step) => step,
+            Err(error) if at.has_best() => {
                 stopped = Some(error.to_string());
                 break;
             }
-            return Err(error);
-        }
+            Err(error) => return Err(error),
+        };
         at.objective.push(heard.objective);
         at.terms.push(terms);
         let share = update as f64 / options.updates as f64;
@@ -362,6 +358,9 @@ impl Training<'_> {
             terms.rate = rate_model.differentiate(self.scene, parameters, weight, slopes);
         }
         let objective = terms.total(&weights);
+        if !objective.is_finite() {
+            return Err(DeliveryError::Diverged { update, found: objective });
+        }
         let (updates, of, expected) = (update + 1, self.options.updates, terms.expected);
         Ok((terms, gradient, Update { updates, of, objective, expected, arrived }))
     }

@@ -110,45 +110,45 @@ fn a_fine_tuning_that_is_broken_off_returns_what_exists() {
     assert_eq!(whole.record.candidates.last().map(|candidate| candidate.updates), Some(3));
 }
 
-/// Where a size is wanted, steps that are learnt keep to it, and what does not is not taken.
+/// Where a size is wanted, steps that are learnt come nearer to it than others, and what is larger is not
+/// taken. Values of this scene lie on a grid of their own, which costs little until they move.
 #[test]
 fn a_size_that_was_wanted_is_not_exceeded() {
     let (scene, references) = study(3, 1);
     let with = |target: Option<u64>, learn_steps: bool| {
         let mut options =
-            DeliveryOptions { updates: 40, warm_up: 0.0, learn_steps, ..options(Variant::Combined) };
+            DeliveryOptions { updates: 20, warm_up: 0.0, learn_steps, ..options(Variant::Combined) };
         options.encode.target = target.map(encode::Target::Bytes);
-        let LearningRates { position, log_scale, turn, opacity, colour, .. } = &mut options.learning_rates;
-        [position, log_scale, turn, opacity, colour].into_iter().for_each(|rate| *rate *= 0.1);
         fine_tune(&scene, &references, &options, &Backend::Cpu, &|_| Continue(())).unwrap().record
     };
     let first = with(None, true).candidates[0].wire_bytes;
     let allowed = 9 * first / 10;
-    let learnt = with(Some(allowed), true);
-    assert_eq!(learnt.candidates.len(), 3);
-    let is_within = |candidate: &Candidate| candidate.wire_bytes <= allowed;
-    assert!(learnt.candidates.iter().all(is_within), "{allowed}: {:?}", learnt.candidates);
-    let fixed = with(Some(allowed), false);
-    let (_, taken) = fixed.before_and_taken().unwrap();
-    assert!(is_within(taken) && !fixed.candidates.iter().all(is_within), "{allowed}: {:?}", fixed.candidates);
+    let last = [true, false].map(|learn_steps| {
+        let record = with(Some(allowed), learn_steps);
+        assert_eq!(record.candidates.len(), 3);
+        let (_, taken) = record.before_and_taken().unwrap();
+        assert!(taken.wire_bytes <= allowed, "{allowed}: {:?}", record.candidates);
+        record.candidates[2].wire_bytes
+    });
+    assert!(last[1] > allowed, "{allowed}: {last:?}");
+    assert!(20 * last[0] < 19 * last[1], "learnt steps are lengthened: {last:?}");
 }
 
 /// What was validated before is taken where a fine-tuning cannot go on, and the record says why it ended.
 #[test]
 fn what_was_validated_is_not_lost_where_a_block_outgrows_its_packet() {
     let (scene, references) = study(3, 1);
-    let mut options = DeliveryOptions { updates: 60, warm_up: 0.0, ..options(Variant::Reconstruction) };
-    options.encode.packet_bytes = 128;
-    options.learn_steps = false;
+    let mut options = DeliveryOptions { updates: 20, warm_up: 0.0, ..options(Variant::Reconstruction) };
+    (options.encode.packet_bytes, options.encode.block_len, options.learn_steps) = (200, 64, false);
     // Values that go far take many bits.
-    options.learning_rates.position = 300.0;
-    options.learning_rates.colour = 10.0;
+    let LearningRates { position, log_scale, turn, opacity, colour, proxies } = &mut options.learning_rates;
+    [position, log_scale, turn, opacity, colour, proxies].into_iter().for_each(|rate| *rate = 1000.0);
     let tune =
         |options: &DeliveryOptions| fine_tune(&scene, &references, options, &Backend::Cpu, &|_| Continue(()));
     let tuned = tune(&options).unwrap();
     let why = tuned.record.stopped.clone().unwrap();
-    assert!(why.contains("does not fit a packet of 128 bytes"), "{why}");
-    assert!(tuned.record.objective.len() < 60 && tuned.record.taken.is_some());
+    assert!(!why.is_empty() && tuned.record.objective.len() < 20, "{why}");
+    assert_eq!(tuned.record.taken, Some(0));
     options.validation.candidates = 0;
     assert!(tune(&options).is_err(), "there is nothing to take");
 }
