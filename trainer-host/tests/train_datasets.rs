@@ -98,7 +98,7 @@ fn faults_are_named_by_file_and_field() {
     // Views without times beside those with would all be of the first instant.
     let fresh = folder();
     let untimed = format!("{{\"file_path\": \"./train/r_0\", \"transform_matrix\": {MATRIX}}}");
-    write_split(fresh.path(), "test", &[untimed.clone()]);
+    write_split(fresh.path(), "test", std::slice::from_ref(&untimed));
     let text = refusal(fresh.path());
     assert!(
         text.ends_with(
