@@ -43,7 +43,7 @@ use self::{
 /// What programs that call this one go by.
 const EXIT_STATUS: &str = "Exit status: 0 fine, 1 refused, 2 done, but not all of it \
                            (damaged input used as far as it goes, an interrupted training, what a server did \
-                           not grant), 64 not a command, 130 interrupted (serve, view and play end well so)";
+                           not grant), 64 not a command, 130 interrupted (0 of serve, view and play)";
 
 /// Dynamic Gaussian splats that stay renderable when delivery is incomplete: encode, send over a
 /// lossy link, decode what arrived, render, measure.

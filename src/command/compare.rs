@@ -156,8 +156,8 @@ fn sheets(args: &Compare, out: &Path) -> Result<PictureOutput> {
             out.display()
         );
     }
-    output.check(out, args.overwrite)?;
     files::check_apart(out, &[Path::new(&args.a), Path::new(&args.b)])?;
+    output.check(out, args.overwrite)?;
     Ok(output)
 }
 

@@ -37,8 +37,8 @@ struct Chosen {
 /// Runs the verb.
 pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     let output = PictureOutput::of(&args.out, args.video_codec)?;
-    output.check(&args.out, args.overwrite)?;
     files::check_apart(&args.out, &[Path::new(&args.input)])?;
+    output.check(&args.out, args.overwrite)?;
     let is_transparent = args.view.background == RenderBackground::Transparent;
     if is_transparent {
         output.check_transparent(&args.out)?;

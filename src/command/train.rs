@@ -18,7 +18,10 @@ mod utility;
 use anyhow::{Context, Result, bail};
 use render_host::{Backend, metric::Lpips};
 use serde_json::json;
-use trainer_host::train::{self, Checkpoint, Dataset, DynamicScene, Test, Views, delivery::DeliveryOptions};
+use trainer_host::{
+    Scene,
+    train::{self, Checkpoint, Dataset, DynamicScene, Test, Views, delivery::DeliveryOptions},
+};
 
 use self::{
     delivery::Pictures,
@@ -98,14 +101,12 @@ fn train(
         );
     }
     let network = args.lpips.as_deref().map(lpips).transpose()?;
-    let smallest =
-        dataset.test.photographs().iter().map(|view| view.camera.width().min(view.camera.height()));
-    let smallest = smallest.min().map(|side| side / dataset.test_scale);
-    if let (Some(side), true) = (smallest.filter(|&side| side < Lpips::SMALLEST_SIDE), network.is_some()) {
-        bail!("--lpips: test views are {side} pixels at their shortest; {} are needed", Lpips::SMALLEST_SIDE);
+    if network.is_some() {
+        check_sides(dataset)?;
     }
     let is_there = scene.is_some() || resumed.as_ref().is_some_and(|checkpoint| checkpoint.progress() >= 1.0);
-    let check = |options| delivery::check(args, dataset, options, is_there);
+    let frames = scene.as_ref().map_or(args.frames.unwrap_or(dataset.frames), Scene::frames);
+    let check = |options| delivery::check(args, dataset, options, (frames, is_there));
     let of_delivery = delivery.map(check).transpose().context("--delivery")?.flatten();
     if scene.is_some() && delivery.is_some() && args.resume && !folder.has_fine_tuning() {
         bail!(
@@ -220,9 +221,8 @@ fn finish(
             let with = (options, backend);
             let sized = &with_size(args, trained);
             let tuned = delivery::fine_tuned(sized, folder, &trained.scene, references, with, stop, quiet)?;
-            ended.interrupted |=
-                tuned.record.objective.len() < options.updates && tuned.record.stopped.is_none();
             is_short = tuned.record.objective.len() < options.updates;
+            ended.interrupted |= is_short && tuned.record.stopped.is_none();
             let mut written = Written::plainly(tuned.encoded);
             written.notes = tuned.notes;
             tuning = Some((options, tuned.record, tuned.choice));
@@ -284,6 +284,18 @@ fn finish(
     }
     output.json["utility"] = json!(audits);
     Ok(output)
+}
+
+/// Refuses test views that are too small for LPIPS, before they are trained for.
+fn check_sides(dataset: &Dataset) -> Result<()> {
+    let sides = dataset.test.photographs().iter().map(|view| view.camera.width().min(view.camera.height()));
+    match sides.min().map(|side| side / dataset.test_scale) {
+        Some(side) if side < Lpips::SMALLEST_SIDE => bail!(
+            "--lpips: test views are {side} pixels at their shortest; {} are needed",
+            Lpips::SMALLEST_SIDE
+        ),
+        _ => Ok(()),
+    }
 }
 
 /// `args` with the size that a scene was `trained` for, unless a size or steps were typed.

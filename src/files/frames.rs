@@ -26,7 +26,7 @@ pub(super) fn check_can_make(target: &Path) -> Result<()> {
     Ok(())
 }
 
-/// What the frames of a folder are: with `--overwrite` they are replaced by their like.
+/// What the frames of a folder are: with `--overwrite`, those of one kind do not replace those of the other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FrameKind {
     /// Files of Gaussians, `.ply`.
@@ -41,11 +41,11 @@ impl FrameKind {
         if is_ply { Self::Scene } else { Self::Pictures }
     }
 
-    /// For people.
-    const fn name(self) -> &'static str {
+    /// One of them, and several, for people.
+    const fn names(self) -> [&'static str; 2] {
         match self {
-            Self::Scene => "a frame of a scene",
-            Self::Pictures => "a picture",
+            Self::Scene => ["a frame of a scene", "frames of scenes"],
+            Self::Pictures => ["a picture", "pictures"],
         }
     }
 }
@@ -221,10 +221,10 @@ fn check_unused(folder: &Path, kind: FrameKind, overwrite: bool) -> Result<()> {
     let index = fs::read(folder.join(SEQUENCE_INDEX)).unwrap_or_default();
     let index: SequenceIndex = serde_json::from_slice(&index).unwrap_or_default();
     if let Some(other) = index.files.iter().find(|name| FrameKind::of(name) != kind) {
+        let ([found, _], [_, replaced]) = (FrameKind::of(other).names(), kind.names());
         bail!(
-            "{}: holds {other}, {}; --overwrite replaces its like alone: name another folder",
-            folder.display(),
-            FrameKind::of(other).name()
+            "{}: holds {other}, which is {found}; --overwrite replaces {replaced} alone: name another folder",
+            folder.display()
         );
     }
     match names.iter().find(|name| *name != SEQUENCE_INDEX && !index.files.contains(name)) {

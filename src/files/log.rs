@@ -2,7 +2,7 @@
 
 use std::{
     fs::File,
-    io::{BufRead, BufReader, Read, Seek, SeekFrom, Write},
+    io::{Read, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
 };
 
@@ -10,9 +10,6 @@ use anyhow::{Context, Result, bail};
 use serde::Serialize;
 
 use crate::output;
-
-/// Bytes of the first line that are looked at.
-const LONGEST_ROW: u64 = 1024;
 
 /// A file of JSON lines: each is there as soon as it is added, whatever becomes of this process.
 #[derive(Debug)]
@@ -66,15 +63,14 @@ impl LineLog {
 /// Whether the first line of the file at `path` is one that a log has, or the beginning of one, which a full
 /// disk has cut.
 fn begins_with_row(path: &Path, key: &str) -> Result<bool> {
-    let mut line = Vec::new();
+    let (start, mut found) = (format!("{{\"{key}\":"), Vec::new());
     let file = File::open(path).with_context(|| format!("--log {}: cannot read", path.display()))?;
-    BufReader::new(file.take(LONGEST_ROW)).read_until(b'\n', &mut line)?;
-    let start = format!("{{\"{key}\":");
-    Ok(line.starts_with(start.as_bytes()) || start.as_bytes().starts_with(&line))
+    file.take(start.len() as u64).read_to_end(&mut found)?;
+    Ok(start.as_bytes().starts_with(&found))
 }
 
 /// The first and the last byte of the file at `path`; `None` where there is no file, or nothing in it.
-fn ends(path: &Path) -> std::io::Result<Option<[u8; 2]>> {
+pub(super) fn ends(path: &Path) -> std::io::Result<Option<[u8; 2]>> {
     // What is no file, as a terminal or a pipe, has nothing to keep.
     if !path.is_file() || path.metadata()?.len() == 0 {
         return Ok(None);
@@ -127,7 +123,8 @@ mod tests {
             assert!(LineLog::open(&path, "row").is_err(), "{other}");
         }
         std::fs::write(&path, "").unwrap();
-        assert!(LineLog::open(&path, "row").is_ok());
+        LineLog::open(&path, "row").unwrap().add(&1);
+        assert_eq!(std::fs::read(&path).unwrap(), b"1\n", "an empty file is none of anybody's");
     }
 
     #[cfg(target_os = "linux")]

@@ -304,7 +304,7 @@ mod tests {
         let (again, warnings) = measure(&scene, 0.0, &plain());
         assert!(same(&again, &first) && warnings.is_empty(), "it was replaced: {warnings}");
 
-        assert!(stored_utilities(&cache, &stream).is_ok());
+        assert!(same(&stored_utilities(&cache, &stream).unwrap(), &first));
         let none = encode::EncodeOptions::default();
         let another = encode::encode(&other, &none, &encode::no_progress).unwrap().stream;
         let error = stored_utilities(&cache, &another).unwrap_err().to_string();

@@ -282,7 +282,7 @@ impl Scratch {
         sums.map(|sum| keep(Term::Background, f64::from(total(&sum))) as f32)
     }
 
-    /// Differentiates one splat's visits and steps in front of it. With `STATISTICS`, finds those of its
+    /// Differentiates one splat's visits and steps in front of it. With statistics, finds those of its
     /// visits too, in the columns that are `inside` the picture (1, else 0).
     #[inline(always)]
     fn sweep<S: Simd, const WITH_STATISTICS: bool>(

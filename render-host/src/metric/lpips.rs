@@ -117,7 +117,7 @@ impl Lpips {
     pub fn distance(&self, test: &Image, reference: &Image) -> Result<f64, ImageError> {
         same_size(test, reference)?;
         let side = test.width().min(test.height());
-        if side < Lpips::SMALLEST_SIDE {
+        if side < Self::SMALLEST_SIDE {
             let (field, found) = ("side of an image for LPIPS", side.to_string());
             return Err(ImageError::Range { field, found, allowed: "31 or more" });
         }

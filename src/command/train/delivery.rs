@@ -67,13 +67,13 @@ pub(super) fn read(config: &str) -> Result<DeliveryOptions> {
     })
 }
 
-/// Refuses before the training what would end it afterwards; `is_there` says whether the scene is there
-/// already. Gives what a person should know.
+/// Refuses before the training what would end it afterwards, of a clip of so many `frames`; `is_there` says
+/// whether the scene is there already. Gives what a person should know.
 pub(super) fn check(
     args: &Train,
     dataset: &Dataset,
     options: &DeliveryOptions,
-    is_there: bool,
+    (frames, is_there): (usize, bool),
 ) -> Result<Option<String>> {
     if options.recorded.is_some() && !is_there {
         let (input, out) = (&args.input, args.out.display());
@@ -85,7 +85,7 @@ pub(super) fn check(
     }
     rank::check(args, options)?;
     options.recorded.as_deref().map(Recording::read).transpose().context("recorded")?;
-    pictures::check(args, dataset, options)
+    pictures::check(args, dataset, options, frames)
 }
 
 /// That the tail holds more than the fraction of worlds that `options` name, where that is less than one.
@@ -133,7 +133,7 @@ pub(super) fn run(
 ) -> Result<VerbOutput> {
     let background = args.background.unwrap_or(BACKGROUND);
     let pictures = Pictures { dataset, background, max_side: typed(args)?.max_side, trained: None };
-    let Tuned { encoded: tuned, given, record, section, choice, notes } =
+    let Tuned { encoded: tuned, given, record, section, choice, notes: of_tuning } =
         fine_tuned(args, folder, scene, pictures, (options, backend), stop, quiet)?;
     let updates = record.objective.len();
     let interrupted = updates < options.updates && record.stopped.is_none();
@@ -159,9 +159,8 @@ pub(super) fn run(
         folder.stream.display(),
         folder.report.display()
     );
-    let notes_of_tuning = notes;
     let mut notes = said.to_vec();
-    notes.extend(notes_of_tuning);
+    notes.extend(of_tuning);
     notes.extend(tail_in_words(options));
     let unused = unused(args);
     if !unused.is_empty() {
@@ -246,8 +245,8 @@ pub(super) fn fine_tuned(
     drop(bar);
     let damage = Damage::of(scene, &tuned, &pictures.unseen(scene)?)?;
     let section = page::section(&tuned.record, seconds, &damage)?;
-    let gaussians = encoded.order.iter().map(Vec::len).sum();
-    let notes = outcome::missed(&options, gaussians, encoded.report.ledger.wire() as u64);
+    let bytes = encoded.report.ledger.wire() as u64;
+    let notes = outcome::missed(options.encode.target, &tuned.record, bytes);
     let notes = notes.into_iter().collect();
     Ok(Tuned { encoded, given: tuned.given, record: tuned.record, section, choice, notes })
 }

@@ -135,6 +135,7 @@ impl Folder {
         std::fs::create_dir_all(out)
             .with_context(|| format!("{}: cannot make this folder", out.display()))?;
         let opened = Opened { made: is_new.then(|| out.clone()), _lock: lock(out)? };
+        // Another may have ended in between.
         self.check_used(args)?;
         self.files().into_iter().try_for_each(files::check)?;
         let of_epochs = epoch_folders(out).map(|epoch| Self::of(&epoch)).collect::<Vec<_>>();

@@ -54,25 +54,66 @@ fn why_as_given(record: &Record, before: &Candidate) -> &'static str {
     }
 }
 
-/// Where the stream of so many `bytes` on the wire is not what `options` ask for, or that is not measured.
-pub(super) fn missed(options: &DeliveryOptions, gaussians: usize, bytes: u64) -> Option<String> {
-    let (name, most) = match options.encode.target? {
-        Target::Bytes(most) => ("--target-bytes", most),
-        Target::BitsPerGaussian(bits) => {
-            ("--target-bits-per-gaussian", (bits * gaussians as f64 / 8.0) as u64)
+/// Where the stream of so many `bytes` on the wire is larger than was asked for, or whether it is as close as
+/// was asked for is not measured.
+pub(super) fn missed(target: Option<Target>, record: &Record, bytes: u64) -> Option<String> {
+    if let Some(Target::PsnrDb(_)) = target {
+        return Some(
+            "--target-psnr: is what the scene is encoded at before the first update; how close it is after \
+             the last is not measured so"
+                .to_owned(),
+        );
+    }
+    let most = record.allowed_bytes.filter(|&most| bytes > most)?;
+    Some(format!(
+        "fine-tuned for delivery the scene takes {bytes} bytes on the wire, and {most} were asked for: steps \
+         that are learnt (learn_steps) and candidates (validation.candidates) keep to it"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(allowed_bytes: Option<u64>, p10_db: &[f64]) -> Record {
+        let candidate = |(at, &p10_db): (usize, &f64)| Candidate {
+            updates: 10 * at,
+            violations: 0,
+            p10_db,
+            clean_db: 30.0,
+            wire_bytes: 900,
+        };
+        Record {
+            registration: serde_json::from_value(serde_json::json!({
+                "options": {}, "config_hash": "", "weights": {}, "validation_masks": "", "selection_rule": ""
+            }))
+            .unwrap(),
+            allowed_bytes,
+            stopped: None,
+            device: "cpu".to_owned(),
+            objective: Vec::new(),
+            terms: Vec::new(),
+            candidates: p10_db.iter().enumerate().map(candidate).collect(),
+            taken: Some(0),
         }
-        Target::PsnrDb(_) => {
-            return Some(
-                "--target-psnr: is what the scene is encoded at before the first update; how close it is \
-                 after the last is not measured so"
-                    .to_owned(),
-            );
-        }
-    };
-    (bytes > most).then(|| {
-        format!(
-            "{name}: allows {most} bytes, and fine-tuned for delivery the scene takes {bytes}: steps that \
-             are learnt (learn_steps) and candidates (validation.candidates) keep to it"
-        )
-    })
+    }
+
+    #[test]
+    fn why_a_scene_stays_as_it_was_given_is_said_as_it_is() {
+        let said = |p10_db: &[f64]| outcome(&record(None, p10_db), &DeliveryOptions::default(), None);
+        assert!(said(&[25.0]).contains("none of them was validated before it ended"), "{}", said(&[25.0]));
+        let better = said(&[25.0, 27.0]);
+        assert!(better.contains("had more prefixes that lose quality, or were too large"), "{better}");
+        assert!(said(&[25.0, 24.0]).contains("none of them was better where packets are lost"));
+    }
+
+    #[test]
+    fn a_size_that_is_missed_and_a_psnr_that_is_not_measured_are_said() {
+        let sized = record(Some(900), &[25.0]);
+        assert_eq!(missed(Some(Target::Bytes(900)), &sized, 900), None);
+        let words = missed(Some(Target::Bytes(900)), &sized, 901).unwrap();
+        assert!(words.contains("takes 901 bytes on the wire, and 900 were asked for"), "{words}");
+        assert!(missed(Some(Target::PsnrDb(40.0)), &record(None, &[25.0]), 901).is_some());
+        assert_eq!(missed(None, &record(None, &[25.0]), 901), None);
+    }
 }

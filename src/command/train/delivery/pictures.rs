@@ -35,9 +35,9 @@ pub(super) struct References {
     pub(super) validation: Vec<Reference>,
 }
 
-/// Photographs of `views` that show a frame of a clip of so many `frames`; of so many `instants` are those of
-/// the dataset. Where a clip has fewer frames than there are instants, photographs from between two frames
-/// show what no frame does.
+/// Photographs of `views` that show a frame of a clip of so many `frames`; the dataset has photographs of
+/// so many `instants`. Where a clip has fewer frames than there are instants, photographs from between two
+/// frames show what no frame does.
 fn of_frames<Split>(views: &Views<Split>, frames: usize, instants: usize) -> Result<Cow<'_, Views<Split>>>
 where
     Views<Split>: Clone,
@@ -50,8 +50,8 @@ where
     Ok(Cow::Owned(Views::new(all.iter().filter(shows).cloned().collect())?))
 }
 
-/// Whether what is seen at `time` is nearer to a frame of a clip of so many `frames` than to the instant
-/// before or after the frame's, of so many that there are photographs of.
+/// Whether `time` is that of a frame of a clip of so many `frames`, to half the distance between two of so
+/// many `instants`, evenly spread, that there are photographs of.
 fn shows_a_frame(time: f32, frames: usize, instants: usize) -> bool {
     let (time, last) = (f64::from(time), frames.saturating_sub(1) as f64);
     let frame = if last > 0.0 { (time * last).round() / last } else { 0.0 };
@@ -59,8 +59,12 @@ fn shows_a_frame(time: f32, frames: usize, instants: usize) -> bool {
 }
 
 /// Refuses pictures that are too few for `options`, and says how many were left out.
-pub(super) fn check(args: &Train, dataset: &Dataset, options: &DeliveryOptions) -> Result<Option<String>> {
-    let frames = args.frames.unwrap_or(dataset.frames);
+pub(super) fn check(
+    args: &Train,
+    dataset: &Dataset,
+    options: &DeliveryOptions,
+    frames: usize,
+) -> Result<Option<String>> {
     let shows = |view: &&PosedPhotograph| shows_a_frame(view.time, frames, dataset.frames);
     let all = dataset.train.photographs();
     let shown = all.iter().filter(shows).count();

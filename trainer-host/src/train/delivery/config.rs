@@ -297,8 +297,8 @@ impl DeliveryOptions {
 
     /// FNV-1a, 64 bits, over everything that the result depends on but the scene and its pictures.
     pub fn hash(&self) -> u64 {
-        let plain = Self { registration: None, ..self.clone() };
-        let json = serde_json::to_string(&plain).unwrap_or_default();
+        // Where the registration is written is no part of it.
+        let json = serde_json::to_string(self).unwrap_or_default();
         Digest::new().bytes(json.as_bytes()).bytes(format!("{:?}", self.encode).as_bytes()).get()
     }
 

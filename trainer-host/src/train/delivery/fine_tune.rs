@@ -205,6 +205,7 @@ pub fn resume(
     };
     let record = Record {
         registration,
+        allowed_bytes: coding.allowed,
         stopped,
         device: backend.name(),
         objective: at.objective,

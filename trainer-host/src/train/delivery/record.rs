@@ -71,7 +71,10 @@ pub(super) fn hex(hash: u64) -> String {
 pub struct Record {
     /// What was fixed before.
     pub registration: Preregistration,
-    /// Why no update was made after the last that was, where that was not a person's wish.
+    /// Bytes on the wire that a candidate may take, where a size was asked for.
+    #[serde(default)]
+    pub allowed_bytes: Option<u64>,
+    /// Why the fine-tuning ended before its last update, where it could not go on.
     #[serde(default)]
     pub stopped: Option<String>,
     /// The device that drew and differentiated states in the run that ended the fine-tuning, as
@@ -104,6 +107,7 @@ mod tests {
         let masks = Masks { states: Vec::new() };
         let record = Record {
             registration: Preregistration::of(&DeliveryOptions::default(), &masks, 7),
+            allowed_bytes: Some(900),
             stopped: None,
             device: "cpu".to_owned(),
             objective: vec![0.5],

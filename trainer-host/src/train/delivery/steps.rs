@@ -209,7 +209,8 @@ impl Steps {
         if all <= 0.0 {
             return false;
         }
-        *saved += bytes;
+        // What the bounds do not allow is not asked for later, either.
+        *saved = (*saved + bytes).min(MOST * all);
         self.before.clone_from(&self.factors);
         let places = self.factors.as_flattened_mut().iter_mut().zip(self.savings.as_flattened());
         for (factor, _) in places.filter(|(_, saving)| **saving > 0.0) {

@@ -172,7 +172,7 @@ mod tests {
         found.each_residual(
             |index| (rest[index], NO_TURN),
             // A quaternion and its negative, of any length, are one turn.
-            |index| (moved[index], turn.map(|v| if index % 2 == 0 { 3.0 * v } else { -v })),
+            |index| (moved[index], turn.map(|v| if index % 2 == 0 { 4.0 * v } else { -v })),
             |index, residual, _| out.push((index, residual)),
         );
         out
@@ -246,7 +246,8 @@ mod tests {
                 members.iter().map(|&index| places[index].map(f64::from)).collect()
             };
             let (from, to) = (of(&points), of(&bent));
-            let pose = fit_pose(&from, &to, [0.0; 3], TURN.map(f64::from));
+            let turn = unit(TURN);
+            let pose = fit_pose(&from, &to, [0.0; 3], [turn.w, turn.x, turn.y, turn.z]);
             for ((&index, p), x) in members.iter().zip(from).zip(to) {
                 let placed: [f64; 3] = (pose.translation + pose.linear * nalgebra::Vector3::from(p)).into();
                 slow[index] = DVec3::from_array(x) - DVec3::from_array(placed);
@@ -256,7 +257,7 @@ mod tests {
             residuals.iter().map(|(index, residual)| residual.distance(slow[*index])).fold(0.0, f64::max)
         };
         let residuals = turned_residuals(&found, &points, &bent, TURN);
-        assert!(residuals.len() == 899 && furthest(&residuals) < 1e-7, "{}", furthest(&residuals));
+        assert!(residuals.len() == 899 && furthest(&residuals) < 1e-12, "{}", furthest(&residuals));
         // Of other neighbourhoods they are others.
         let scattered = Neighbourhoods((0..900).map(|index| Some(index % 64)).collect());
         assert!(furthest(&turned_residuals(&scattered, &points, &bent, TURN)[1..7]) > 1e-3);
